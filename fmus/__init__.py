@@ -1,0 +1,1 @@
+"""Plants and observers in the shape of an FMU: modelling language, exporter, loader, plants."""

@@ -1,0 +1,1 @@
+"""Built-in plants, one module each: equations, units, source, parameter sets by name."""

@@ -1,0 +1,1 @@
+"""The fixed C sources that every exported FMU is built from."""

@@ -1,0 +1,1 @@
+"""Scenario, wiring, clocks, step loop, sensors, records, metrics, campaigns, command line."""

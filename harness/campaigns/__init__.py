@@ -1,0 +1,1 @@
+"""Built-in campaigns, one YAML file each."""

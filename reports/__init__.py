@@ -1,0 +1,1 @@
+"""Reports from run folders: figures, HTML, acceptance tests."""

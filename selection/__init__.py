@@ -1,0 +1,1 @@
+"""Which sensors? Structure, observability and H2 measures."""
