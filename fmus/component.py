@@ -24,7 +24,7 @@ class Signal:
     """One declared variable: name, unit, start value and the range it is meant to stay in.
 
     `shape` () is a scalar, (n,) or (n, m) an array, which FMI sees as the scalars
-    `name[1]` ... or `name[1,1]` ... in row-major order. Values are in `unit`.
+    `name[1]` ... or `name[1,1]` ... in row-major order. Values are in `unit`. A `local` state stays inside: it is no output of the FMU.
     """
 
     name: str
@@ -36,6 +36,7 @@ class Signal:
     maximum: float = math.inf
     kind: Kind = "real"
     shape: tuple[int, ...] = ()
+    local: bool = False
 
     def __post_init__(self) -> None:
         start = np.asarray(self.start, dtype=float)

@@ -1,0 +1,189 @@
+"""What a scenario is made of: clock, parts, wires, seed. The schema of a campaign file's `parts` and `clock`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema, model_validator
+
+from fmus.units import UnitError, parse_quantity, parse_unit
+
+
+class Measure(NamedTuple):
+    """A number and the unit it was written in; the unit is empty where none stands."""
+
+    value: float
+    unit: str
+
+    def si(self, wanted: str) -> float:
+        """The value in SI. Raises UnitError: not of the dimension of `wanted`, or a bare number where `wanted` has one."""
+        target = parse_unit(wanted)
+        if not self.unit and any(target.exponents):
+            raise UnitError(f"wants {wanted}, got the bare number {self.value:g}: write '{self.value:g} {wanted}'")
+        source = parse_unit(self.unit)
+        if not source.same_dimension(target):
+            raise UnitError(f"wants {wanted}, got {self.value:g} {self.unit}".rstrip())
+        return source.to_si(self.value)
+
+    def __str__(self) -> str:
+        return f"{self.value!r} {self.unit}".rstrip()
+
+
+def read_measure(raw: Any) -> Measure:
+    """A Measure from `1500 N.m/rad`, 3 or 0.5."""
+    if isinstance(raw, Measure):
+        return raw
+    if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
+        raise ValueError(f"wants a number with a unit, like '1 ms', got {raw!r}")
+    if isinstance(raw, str):
+        return Measure(*parse_quantity(raw))
+    return Measure(float(raw), "")
+
+
+Quantity = Annotated[
+    Measure,
+    BeforeValidator(read_measure),
+    PlainSerializer(str),
+    WithJsonSchema({"type": ["string", "number"], "description": "number with a unit, like '1500 N.m/rad'"}),
+]
+
+
+class Strict(BaseModel):
+    """Unknown keys are errors; values are frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class TimeClock(Strict):
+    """Fixed steps in time: t = start + k step, up to stop."""
+
+    step: Quantity
+    stop: Quantity
+    start: Quantity = Measure(0.0, "s")
+
+
+class Clock(Strict):
+    """The clock of a run."""
+
+    time: TimeClock
+
+
+class Step(Strict):
+    """Jumps from one value to another at a time: y(t) = to for t >= at."""
+
+    at: Quantity
+    start: Quantity = Field(alias="from")
+    to: Quantity
+
+
+class Ramp(Strict):
+    """Linear between two times, constant outside."""
+
+    at: Quantity
+    until: Quantity
+    start: Quantity = Field(alias="from")
+    to: Quantity
+
+
+class Sine(Strict):
+    """mean + amplitude sin(2 pi frequency (t - t0) + phase)."""
+
+    amplitude: Quantity
+    frequency: Quantity
+    mean: Quantity
+    phase: Quantity = Measure(0.0, "rad")
+
+
+class Table(Strict):
+    """Points (time, value), held between points or joined by lines; the ends are held."""
+
+    time: list[Quantity]
+    value: list[Quantity]
+    between: Literal["hold", "linear"] = "hold"
+
+
+class SourcePart(Strict):
+    """A known input: exactly one of constant, step, ramp, sine, table. Its output is named `value`."""
+
+    use: Literal["source"]
+    unit: str = Field(description="unit of the signal, like N.m")
+    constant: Quantity | None = None
+    step: Step | None = None
+    ramp: Ramp | None = None
+    sine: Sine | None = None
+    table: Table | None = None
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> SourcePart:
+        given = [name for name in ("constant", "step", "ramp", "sine", "table") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"a source wants one of constant, step, ramp, sine, table, got {given or 'none'}")
+        return self
+
+
+class Noise(Strict):
+    """White Gaussian noise, drawn once a sample."""
+
+    std: Quantity
+
+
+class Fault(Strict):
+    """One fault, active for from <= t < to: exactly one of bias, gain, drift, stuck, drop_out, noise."""
+
+    bias: Quantity | None = Field(None, description="added to the reading")
+    gain: float | None = Field(None, description="multiplies the reading")
+    drift: Quantity | None = Field(None, description="added, per second since `from`: a unit of the signal, read per second")
+    stuck: Literal[True] | None = Field(None, description="holds the last reading before the fault")
+    drop_out: float | None = Field(None, description="probability that a sample is lost and the last is held")
+    noise: Quantity | None = Field(None, description="standard deviation added in quadrature")
+    start: Quantity = Field(alias="from")
+    until: Quantity | None = Field(None, alias="to")
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Fault:
+        kinds = ("bias", "gain", "drift", "stuck", "drop_out", "noise")
+        given = [name for name in kinds if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"a fault wants one of {', '.join(kinds)}, got {given or 'none'}")
+        return self
+
+
+class SensorPart(Strict):
+    """Measures one signal. Its output is named `value`; with nothing but `of` it is the identity sensor.
+
+    Applied in this order: lag, delay, gain, bias, faults, noise, drop-out, quantisation, limits.
+    """
+
+    use: Literal["sensor"]
+    of: str = Field(description="the signal measured, as part.output")
+    lag: Quantity | None = Field(None, description="time constant of a first-order lag")
+    delay: Quantity | None = Field(None, description="dead time, linear between samples")
+    gain: float = 1.0
+    bias: Quantity | None = None
+    noise: Noise | None = None
+    drop_out: float = Field(0.0, ge=0.0, le=1.0, description="probability that a sample is lost and the last is held")
+    quantise: Quantity | None = Field(None, description="resolution: readings are rounded to multiples of it")
+    limits: tuple[Quantity, Quantity] | None = Field(None, description="readings are clipped to this range")
+    faults: list[Fault] = []
+    every: Quantity | None = Field(None, description="sample time; a multiple of the clock's step")
+
+
+class ModelPart(Strict):
+    """A plant, observer or controller: an FMU, or a module that holds a MODEL or a `make`."""
+
+    use: str
+    parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
+    settings: dict[str, Any] = Field(default_factory=dict, alias="with", description="parameters and start values by name")
+    wires: dict[str, str] = Field(default_factory=dict, description="input: part or part.output")
+    every: Quantity | None = Field(None, description="step of this part; a multiple of the clock's step")
+
+
+
+
+class Scenario(Strict):
+    """One run: everything that determines its bytes besides the parts' own content."""
+
+    clock: Clock
+    parts: dict[str, SourcePart | SensorPart | ModelPart]
+    seed: int = 0
+    record: list[str] | None = Field(None, description="signals to record, as part or part.output; all where absent")
