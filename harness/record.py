@@ -1,0 +1,127 @@
+"""What a run leaves: the signals of every instant, how it ended, and the files that keep them."""
+
+from __future__ import annotations
+
+import io
+import math
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from fmus.component import Signal
+from fmus.model import unknown
+from fmus.units import UnitError, parse_unit
+
+OUTCOMES = ("ok", "warning", "discard", "error", "fatal", "crash", "timeout", "diverged", "unsupported")
+# Outcomes that leave a complete record.
+COMPLETE = ("ok", "warning")
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: row k holds the instant `time[k]`, column j the signal `signals[j]` in SI.
+
+    `signals` are named `part.signal`; their `unit` is the declared one, for display. `time` has shape (n,) [s] and
+    `values` (n, number of signals). Where the outcome is neither ok nor warning, `part`, `failed_at` [s] and `message`
+    say what ended the run, and the rows up to there are kept.
+    """
+
+    signals: tuple[Signal, ...]
+    time: NDArray[np.float64]
+    values: NDArray[np.float64]
+    outcome: str = "ok"
+    part: str = ""
+    failed_at: float = math.nan
+    message: str = ""
+    order: tuple[str, ...] = ()
+    held: tuple[str, ...] = ()
+    starts: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    log: tuple[Any, ...] = ()
+    wall: Mapping[str, float] = field(default_factory=dict)
+    fmus: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.outcome not in OUTCOMES:
+            raise ValueError(f"outcome wants one of {', '.join(OUTCOMES)}, got '{self.outcome}'")
+        if self.values.shape != (len(self.time), len(self.signals)):
+            raise ValueError(f"values wants shape {(len(self.time), len(self.signals))}, got {self.values.shape}")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the signals, in column order."""
+        return [signal.name for signal in self.signals]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """The column of one signal, shape (n,), in SI. Raises KeyError with the nearest recorded name."""
+        for column, signal in enumerate(self.signals):
+            if signal.name == name:
+                return self.values[:, column]
+        raise KeyError(unknown(name, self.names, "recorded signal"))
+
+
+def si_unit(unit: str) -> str:
+    """The name of the SI unit of `unit`'s dimension; `unit` itself where nobody knows it."""
+    try:
+        return parse_unit(unit).si_name()
+    except UnitError:
+        return unit
+
+
+def write_atomically(path: Path, content: bytes | str) -> None:
+    """Write the whole file or nothing: a temporary name beside it, synced, then renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def write_signals(record: Record, path: Path) -> None:
+    """Write `time` and one column a signal as Parquet; the same record gives the same bytes.
+
+    Each column's metadata carries `unit` (SI, what the values are in), `display_unit` (as declared), `kind` and `description`.
+    """
+    fields = [_field("time", "s", "s", "real", "")]
+    for signal in record.signals:
+        fields.append(_field(signal.name, si_unit(signal.unit), signal.unit, signal.kind, signal.description))
+    columns = [np.ascontiguousarray(record.time), *(np.ascontiguousarray(column) for column in record.values.T)]
+    table = pa.Table.from_arrays([pa.array(column, pa.float64()) for column in columns], schema=pa.schema(fields))
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
+    write_atomically(path, buffer.getvalue())
+
+
+def read_signals(path: Path, names: Sequence[str] | None = None) -> Record:
+    """The signals of a Parquet file as a Record without provenance; only the columns `names` where given."""
+    table = pq.read_table(path, columns=None if names is None else ["time", *names])
+    time = table.column("time").to_numpy().astype(float)
+    columns = [column for column in table.column_names if column != "time"]
+    values = np.empty((len(time), len(columns)))
+    signals = []
+    for index, name in enumerate(columns):
+        values[:, index] = table.column(name).to_numpy()
+        metadata = {key.decode(): text.decode() for key, text in (table.schema.field(name).metadata or {}).items()}
+        kind: Any = metadata.get("kind", "real")
+        unit = metadata.get("display_unit", metadata.get("unit", "1"))
+        signals.append(Signal(name, unit, description=metadata.get("description", ""), kind=kind))
+    return Record(tuple(signals), time, values)
+
+
+def _field(name: str, unit: str, display_unit: str, kind: str, description: str) -> pa.Field:
+    metadata = {"unit": unit, "display_unit": display_unit, "kind": kind, "description": description}
+    return pa.field(name, pa.float64(), nullable=False, metadata=metadata)
