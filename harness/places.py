@@ -114,7 +114,8 @@ class _Reader:
             self.complain(node, "an alias wants something finite, got a value that holds itself")
             return None
         if len(self.values) > MOST_VALUES:
-            raise ConfigurationError(Problem(f"wants at most {MOST_VALUES} values, aliases counted as written out", self.file))
+            message = f"wants at most {MOST_VALUES} values, counting aliases as written out"
+            raise ConfigurationError(Problem(message, self.file))
         self.values[path] = self.place(node)
         inside = (*above, id(node))
         if isinstance(node, MappingNode):
@@ -150,7 +151,11 @@ class _Reader:
             case "bool":
                 return text.lower() == "true"
             case "int" | "float":
-                return _number(text)
+                try:
+                    return _number(text)
+                except ValueError:
+                    self.complain(node, f"wants a number, got '{text}'")
+                    return None
         self.complain(node, f"the tag '{node.tag}' means nothing here; leave it out")
         return None
 

@@ -94,7 +94,7 @@ def write_atomically(path: Path, content: bytes | str) -> None:
 def write_signals(record: Record, path: Path) -> None:
     """Write `time` and one column a signal as Parquet; the same record gives the same bytes.
 
-    Each column carries the metadata `unit` (SI, what the values are in), `display_unit` (as declared), `kind`, `description`.
+    Each column's metadata: `unit` (SI, what the values are in), `display_unit` (as declared), `kind`, `description`.
     """
     fields = [_field("time", "s", "s", "real", "")]
     for signal in record.signals:

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+import difflib
+import math
 from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, WithJsonSchema, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainSerializer,
+    Tag,
+    WithJsonSchema,
+    model_validator,
+)
 
 from fmus.units import UnitError, parse_quantity, parse_unit
 
@@ -16,7 +28,10 @@ class Measure(NamedTuple):
     unit: str
 
     def si(self, wanted: str) -> float:
-        """The value in SI. Raises UnitError: not of the dimension of `wanted`, or a bare number where `wanted` has one."""
+        """The value in SI.
+
+        Raises UnitError: not of the dimension of `wanted`, or a bare number where `wanted` has one.
+        """
         target = parse_unit(wanted)
         if not self.unit and any(target.exponents):
             raise UnitError(f"wants {wanted}, got the bare number {self.value:g}: write '{self.value:g} {wanted}'")
@@ -35,9 +50,10 @@ def read_measure(raw: Any) -> Measure:
         return raw
     if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
         raise ValueError(f"wants a number with a unit, like '1 ms', got {raw!r}")
-    if isinstance(raw, str):
-        return Measure(*parse_quantity(raw))
-    return Measure(float(raw), "")
+    measure = Measure(*parse_quantity(raw)) if isinstance(raw, str) else Measure(float(raw), "")
+    if not math.isfinite(measure.value):
+        raise ValueError(f"wants a finite number, got {raw!r}")
+    return measure
 
 
 Quantity = Annotated[
@@ -132,7 +148,9 @@ class Fault(Strict):
 
     bias: Quantity | None = Field(None, description="added to the reading")
     gain: float | None = Field(None, description="multiplies the reading")
-    drift: Quantity | None = Field(None, description="added, per second since `from`: a unit of the signal, read per second")
+    drift: Quantity | None = Field(
+        None, description="added, per second since `from`: a unit of the signal, read per second"
+    )
     stuck: Literal[True] | None = Field(None, description="holds the last reading before the fault")
     drop_out: float | None = Field(None, description="probability that a sample is lost and the last is held")
     noise: Quantity | None = Field(None, description="standard deviation added in quadrature")
@@ -171,19 +189,48 @@ class SensorPart(Strict):
 class ModelPart(Strict):
     """A plant, observer or controller: an FMU, or a module that holds a MODEL or a `make`."""
 
-    use: str
+    use: str = Field(description="a module like observers.hybrid, or the path of an .fmu from the campaign file")
     parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
-    settings: dict[str, Any] = Field(default_factory=dict, alias="with", description="parameters and start values by name")
+    settings: dict[str, Any] = Field(
+        default_factory=dict, alias="with", description="parameters and start values by name"
+    )
     wires: dict[str, str] = Field(default_factory=dict, description="input: part or part.output")
     every: Quantity | None = Field(None, description="step of this part; a multiple of the clock's step")
 
 
+# The tags of the three kinds of part, in the words that error messages use.
+SOURCE, SENSOR, MODEL = "<a source>", "<a sensor>", "<a model>"
+PART_KINDS: dict[str, type[Strict]] = {SOURCE: SourcePart, SENSOR: SensorPart, MODEL: ModelPart}
+
+
+def part_kind(raw: Any) -> str:
+    """Which of PART_KINDS a part is meant to be: by `use`, or by its other keys where `use` says nothing."""
+    for tag, schema in PART_KINDS.items():
+        if isinstance(raw, schema):
+            return tag
+    if not isinstance(raw, dict):
+        return MODEL
+    use = raw.get("use")
+    words = {"source": SOURCE, "sensor": SENSOR}
+    if isinstance(use, str):
+        plain = "." not in use and ":" not in use
+        nearest = difflib.get_close_matches(use, words, n=1, cutoff=0.7) if plain else []
+        return words[nearest[0]] if nearest else MODEL
+    if "of" in raw:
+        return SENSOR
+    return SOURCE if {"constant", "step", "ramp", "sine", "table"} & raw.keys() else MODEL
+
+
+Part = Annotated[
+    Annotated[SourcePart, Tag(SOURCE)] | Annotated[SensorPart, Tag(SENSOR)] | Annotated[ModelPart, Tag(MODEL)],
+    Discriminator(part_kind),
+]
 
 
 class Scenario(Strict):
     """One run: everything that determines its bytes besides the parts' own content."""
 
     clock: Clock
-    parts: dict[str, SourcePart | SensorPart | ModelPart]
-    seed: int = 0
+    parts: dict[str, Part]
+    seed: int = Field(0, ge=0)
     record: list[str] | None = Field(None, description="signals to record, as part or part.output; all where absent")
