@@ -191,7 +191,7 @@ def _arguments(compiler: Compiler, name: str, include_count: int) -> tuple[str, 
         *(("-target", target) if compiler.kind == "zig" and target else ()),
         *FLAGS,
         *(_ZIG_FLAGS if compiler.kind == "zig" else ()),
-        *(() if windows else ("-fPIC",)),
+        *(("-s",) if windows else ("-fPIC",)),  # unstripped, a DLL holds an identity that changes with the folder
         *(f"-Iinclude{i}" for i in range(include_count)),
         "unit.c",
         "-o",
