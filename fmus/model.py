@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -82,7 +82,7 @@ class Model:
     A sampled model updates at the end of a step with that step's inputs, so an estimate in m is
     x(k|k). `sample_time` names the parameter that holds the period.
     Discrete states that `transition` assigns are computed at initialisation; others begin at
-    their start value.
+    their start value. The solver settings are the exported FMU's defaults.
     """
 
     name: str
@@ -100,6 +100,9 @@ class Model:
     sample: Named | None = None
     sample_time: str = ""
     parameter_sets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    solver_method: Literal["rk4", "rodas4"] = "rk4"
+    solver_step: float = 1e-3  # s
+    solver_tolerance: float = 0.0  # 1, RODAS4 only; 0 fixes the step
 
     def __post_init__(self) -> None:
         seen: set[str] = set()

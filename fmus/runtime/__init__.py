@@ -1,1 +1,0 @@
-"""The fixed C sources that every exported FMU is built from."""
