@@ -1,0 +1,372 @@
+/* Steps one FMI 2.0 or 3.0 Co-Simulation instance without Python: set inputs, do step, get outputs.
+ *
+ * The bus holds doubles in SI units. Values of one type travel in one call (a Block). Reals that lie in a row on the
+ * bus, in their SI unit, go straight between the bus and the FMU; all others pass a buffer. Nothing is allocated
+ * while stepping. The FMU's messages are kept in a bounded log, the first ones and the last ones.
+ * The structs are mirrored in slave.py.
+ */
+#include <math.h>
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+enum { OK, WARNING, DISCARD, ERROR, FATAL };
+enum { FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, BOOLEAN, INT_BOOLEAN };
+enum { SETTING, STEPPING, GETTING };
+enum { LOG_FIRST = 64, LOG_LAST = 192, CATEGORY_SIZE = 64, MESSAGE_SIZE = 1024 };
+enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* fmi2StatusKind */
+
+typedef void (*Function)(void);
+
+typedef struct {
+    double time;
+    int status;
+    char category[CATEGORY_SIZE];
+    char message[MESSAGE_SIZE];
+} Entry;
+
+typedef struct {
+    double time;   /* the communication point that messages are filed under */
+    size_t count;  /* messages that ever came; those beyond LOG_FIRST + LOG_LAST push out the middle */
+    Entry entries[LOG_FIRST + LOG_LAST];
+} Log;
+
+/* SI value = factor * value + offset */
+typedef struct {
+    size_t index; /* in the block */
+    double factor, offset;
+} Conversion;
+
+typedef struct {
+    Function access;
+    const uint32_t *references;
+    size_t n_references;
+    const size_t *positions; /* of each value on the bus */
+    size_t n_values;
+    const Conversion *conversions;
+    size_t n_conversions;
+    double *scratch; /* NULL: the values lie in a row on the bus from positions[0] and need no copy */
+    void *buffer;    /* NULL: the FMU's type is double */
+    int type;
+} Block;
+
+typedef struct {
+    void *instance;
+    Function do_step, real_status, boolean_status; /* the last two are FMI 2's */
+    const Block *inputs;
+    size_t n_inputs;
+    const Block *outputs;
+    size_t n_outputs;
+    Log *log;
+    int failed;     /* the status that ended the instance, ERROR or FATAL: no call is made any more */
+    int stage;      /* what was being done when the last status above WARNING came */
+    int terminated; /* after a discard: the FMU asked to end the simulation */
+    double last_successful_time;
+} Slave;
+
+typedef int (*Access2)(void *, const uint32_t *, size_t, void *);
+typedef int (*Access3)(void *, const uint32_t *, size_t, void *, size_t);
+typedef int (*DoStep2)(void *, double, double, int);
+typedef int (*DoStep3)(void *, double, double, bool, bool *, bool *, bool *, double *);
+typedef int (*Status2)(void *, int, void *);
+
+/* ---- messages ---- */
+
+static Entry *new_entry(Log *log, int status, const char *category)
+{
+    size_t n = log->count++;
+    Entry *entry = &log->entries[n < LOG_FIRST ? n : LOG_FIRST + (n - LOG_FIRST) % LOG_LAST];
+    entry->time = log->time;
+    entry->status = status;
+    snprintf(entry->category, CATEGORY_SIZE, "%s", category ? category : "");
+    return entry;
+}
+
+static void mark_cut(Entry *entry, int length)
+{
+    static const char mark[] = " [...]";
+    if (length < 0)
+        snprintf(entry->message, MESSAGE_SIZE, "(a message that could not be formatted)");
+    else if (length >= MESSAGE_SIZE)
+        memcpy(entry->message + MESSAGE_SIZE - sizeof mark, mark, sizeof mark);
+}
+
+/* A printf format that writes to memory (%n) is kept as it stands; so is one without any conversion. */
+static bool is_plain(const char *format)
+{
+    bool conversion = false;
+    for (const char *c = format; *c; c++) {
+        if (*c != '%')
+            continue;
+        if (*++c == '%')
+            continue;
+        c += strspn(c, "-+ #0123456789.*'hlLqjzt");
+        if (*c == 'n' || *c == '\0')
+            return true;
+        conversion = true;
+    }
+    return !conversion && !strchr(format, '%');
+}
+
+EXPORT void fmi2_log(void *log, const char *instance, int status, const char *category, const char *format, ...)
+{
+    (void)instance;
+    if (!log)
+        return;
+    Entry *entry = new_entry(log, status, category);
+    int length;
+    if (!format || is_plain(format)) {
+        length = snprintf(entry->message, MESSAGE_SIZE, "%s", format ? format : "");
+    } else {
+        va_list arguments;
+        va_start(arguments, format);
+        length = vsnprintf(entry->message, MESSAGE_SIZE, format, arguments);
+        va_end(arguments);
+    }
+    mark_cut(entry, length);
+}
+
+EXPORT void fmi3_log(void *log, int status, const char *category, const char *message)
+{
+    if (!log)
+        return;
+    Entry *entry = new_entry(log, status, category);
+    mark_cut(entry, snprintf(entry->message, MESSAGE_SIZE, "%s", message ? message : ""));
+}
+
+EXPORT void *fmi2_allocate(size_t count, size_t size)
+{
+    return calloc(count, size);
+}
+
+EXPORT void fmi2_free(void *memory)
+{
+    free(memory);
+}
+
+/* ---- values ---- */
+
+/* The nearest integer, kept inside the type's range; a NaN becomes the lowest. */
+#define NARROW(T, LOW, HIGH)                                                                                           \
+    for (size_t i = 0; i < n; i++) {                                                                                   \
+        double v = nearbyint(from[i]);                                                                                 \
+        ((T *)to)[i] = !(v > (double)(LOW)) ? (LOW) : v >= (double)(HIGH) ? (HIGH) : (T)v;                             \
+    }                                                                                                                  \
+    break
+
+static void narrow(int type, const double *from, void *to, size_t n)
+{
+    switch (type) {
+    case FLOAT32:
+        for (size_t i = 0; i < n; i++)
+            ((float *)to)[i] = (float)from[i];
+        break;
+    case INT8: NARROW(int8_t, INT8_MIN, INT8_MAX);
+    case UINT8: NARROW(uint8_t, 0, UINT8_MAX);
+    case INT16: NARROW(int16_t, INT16_MIN, INT16_MAX);
+    case UINT16: NARROW(uint16_t, 0, UINT16_MAX);
+    case INT32: NARROW(int32_t, INT32_MIN, INT32_MAX);
+    case UINT32: NARROW(uint32_t, 0, UINT32_MAX);
+    case INT64: NARROW(int64_t, INT64_MIN, INT64_MAX);
+    case UINT64: NARROW(uint64_t, 0, UINT64_MAX);
+    case BOOLEAN:
+        for (size_t i = 0; i < n; i++)
+            ((bool *)to)[i] = from[i] != 0.0;
+        break;
+    case INT_BOOLEAN:
+        for (size_t i = 0; i < n; i++)
+            ((int *)to)[i] = from[i] != 0.0;
+        break;
+    }
+}
+
+#define WIDEN(T)                                                                                                       \
+    for (size_t i = 0; i < n; i++)                                                                                     \
+        y[positions[i]] = (double)((const T *)from)[i];                                                                \
+    break
+
+static void widen(int type, const void *from, double *y, const size_t *positions, size_t n)
+{
+    switch (type) {
+    case FLOAT64: WIDEN(double);
+    case FLOAT32: WIDEN(float);
+    case INT8: WIDEN(int8_t);
+    case UINT8: WIDEN(uint8_t);
+    case INT16: WIDEN(int16_t);
+    case UINT16: WIDEN(uint16_t);
+    case INT32: WIDEN(int32_t);
+    case UINT32: WIDEN(uint32_t);
+    case INT64: WIDEN(int64_t);
+    case UINT64: WIDEN(uint64_t);
+    case BOOLEAN: WIDEN(bool);
+    case INT_BOOLEAN:
+        for (size_t i = 0; i < n; i++)
+            y[positions[i]] = ((const int *)from)[i] != 0;
+        break;
+    }
+}
+
+static inline int access_values(int version, const Block *block, void *instance, void *values)
+{
+    if (version == 2)
+        return ((Access2)block->access)(instance, block->references, block->n_references, values);
+    return ((Access3)block->access)(instance, block->references, block->n_references, values, block->n_values);
+}
+
+/* A status that the standard does not know, and FMI 2's pending, which nobody here waits for, are errors. */
+static inline int known(int status)
+{
+    return status < OK || status > FATAL ? ERROR : status;
+}
+
+static int ended(Slave *slave, int status, int stage)
+{
+    slave->stage = stage;
+    if (status >= ERROR)
+        slave->failed = status;
+    return status;
+}
+
+static inline int write_blocks(int version, Slave *slave, const double *u)
+{
+    int worst = OK;
+    for (size_t b = 0; b < slave->n_inputs; b++) {
+        const Block *block = &slave->inputs[b];
+        void *values = (void *)(u + block->positions[0]);
+        if (block->scratch) {
+            for (size_t i = 0; i < block->n_values; i++)
+                block->scratch[i] = u[block->positions[i]];
+            for (size_t c = 0; c < block->n_conversions; c++) {
+                const Conversion *conversion = &block->conversions[c];
+                double *value = &block->scratch[conversion->index];
+                *value = (*value - conversion->offset) / conversion->factor;
+            }
+            values = block->scratch;
+            if (block->buffer) {
+                narrow(block->type, block->scratch, block->buffer, block->n_values);
+                values = block->buffer;
+            }
+        }
+        int status = known(access_values(version, block, slave->instance, values));
+        if (status > WARNING)
+            return ended(slave, status, SETTING);
+        worst = status > worst ? status : worst;
+    }
+    return worst;
+}
+
+static inline int read_blocks(int version, Slave *slave, double *y)
+{
+    int worst = OK;
+    for (size_t b = 0; b < slave->n_outputs; b++) {
+        const Block *block = &slave->outputs[b];
+        void *values = block->buffer ? block->buffer : block->scratch ? block->scratch : y + block->positions[0];
+        int status = known(access_values(version, block, slave->instance, values));
+        if (status > WARNING)
+            return ended(slave, status, GETTING);
+        if (block->scratch)
+            widen(block->type, values, y, block->positions, block->n_values);
+        for (size_t c = 0; c < block->n_conversions; c++) {
+            const Conversion *conversion = &block->conversions[c];
+            double *value = &y[block->positions[conversion->index]];
+            *value = conversion->factor * *value + conversion->offset;
+        }
+        worst = status > worst ? status : worst;
+    }
+    return worst;
+}
+
+/* ---- one step ---- */
+
+static int discarded2(Slave *slave)
+{
+    int terminated = 0;
+    double time = NAN;
+    int status = known(((Status2)slave->boolean_status)(slave->instance, TERMINATED, &terminated));
+    if (status >= ERROR)
+        return ended(slave, status, STEPPING);
+    slave->terminated = status <= WARNING && terminated;
+    status = known(((Status2)slave->real_status)(slave->instance, LAST_SUCCESSFUL_TIME, &time));
+    if (status >= ERROR)
+        return ended(slave, status, STEPPING);
+    slave->last_successful_time = status <= WARNING ? time : NAN;
+    return ended(slave, DISCARD, STEPPING);
+}
+
+static inline int do_step2(Slave *slave, double t, double h)
+{
+    int status = known(((DoStep2)slave->do_step)(slave->instance, t, h, 1));
+    if (status == DISCARD)
+        return discarded2(slave);
+    return status > WARNING ? ended(slave, status, STEPPING) : status;
+}
+
+/* Without event mode and early return an FMU that stops short of t + h or asks to end has not made the step. */
+static inline int do_step3(Slave *slave, double t, double h)
+{
+    bool event = false, terminate = false, early = false;
+    double reached = t + h;
+    int status = known(((DoStep3)slave->do_step)(slave->instance, t, h, true, &event, &terminate, &early, &reached));
+    if (status <= WARNING && !terminate && !early)
+        return status;
+    slave->terminated = terminate;
+    slave->last_successful_time = status == DISCARD ? t : reached;
+    return ended(slave, status < DISCARD ? DISCARD : status, STEPPING);
+}
+
+static inline int advance(int version, Slave *slave, double t, double h, const double *u, double *y)
+{
+    if (slave->failed || !slave->instance)
+        return slave->failed ? slave->failed : ERROR;
+    slave->log->time = t;
+    int written = write_blocks(version, slave, u);
+    if (written > WARNING)
+        return written;
+    int stepped = version == 2 ? do_step2(slave, t, h) : do_step3(slave, t, h);
+    if (stepped > WARNING)
+        return stepped;
+    int read = read_blocks(version, slave, y);
+    if (read > WARNING)
+        return read;
+    return written | stepped | read; /* each is OK or WARNING */
+}
+
+EXPORT int fmi2_step(void *slave, double t, double h, const double *u, double *y)
+{
+    return advance(2, slave, t, h, u, y);
+}
+
+EXPORT int fmi3_step(void *slave, double t, double h, const double *u, double *y)
+{
+    return advance(3, slave, t, h, u, y);
+}
+
+EXPORT int fmi2_write(void *slave, const double *u)
+{
+    return write_blocks(2, slave, u);
+}
+
+EXPORT int fmi3_write(void *slave, const double *u)
+{
+    return write_blocks(3, slave, u);
+}
+
+EXPORT int fmi2_read(void *slave, double *y)
+{
+    return read_blocks(2, slave, y);
+}
+
+EXPORT int fmi3_read(void *slave, double *y)
+{
+    return read_blocks(3, slave, y);
+}

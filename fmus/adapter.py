@@ -1,0 +1,228 @@
+"""The tables that adapter.c steps an FMU by: which variables travel in which call, in which units, and the log."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import POINTER, addressof, c_char, c_double, c_int, c_size_t, c_uint32, c_void_p, cast
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from fmus.component import OK, Native
+from fmus.description import Variable
+from fmus.toolchain import compile_shared
+
+_LOG_FIRST, _LOG_LAST = 64, 192
+
+
+class Passage(NamedTuple):
+    """How values of one FMI type pass: the name in the Set and Get functions, adapter.c's number for it, the C type."""
+
+    function: str
+    number: int
+    c_type: Any
+
+
+# By major version of FMI and type.
+PASSAGES: Mapping[int, Mapping[str, Passage]] = {
+    2: {
+        "Real": Passage("Real", 0, c_double),
+        "Integer": Passage("Integer", 6, c_int),
+        "Enumeration": Passage("Integer", 6, c_int),
+        "Boolean": Passage("Boolean", 11, c_int),
+        "String": Passage("String", -1, ctypes.c_char_p),
+    },
+    3: {
+        "Float64": Passage("Float64", 0, c_double),
+        "Float32": Passage("Float32", 1, ctypes.c_float),
+        "Int8": Passage("Int8", 2, ctypes.c_int8),
+        "UInt8": Passage("UInt8", 3, ctypes.c_uint8),
+        "Int16": Passage("Int16", 4, ctypes.c_int16),
+        "UInt16": Passage("UInt16", 5, ctypes.c_uint16),
+        "Int32": Passage("Int32", 6, ctypes.c_int32),
+        "UInt32": Passage("UInt32", 7, ctypes.c_uint32),
+        "Int64": Passage("Int64", 8, ctypes.c_int64),
+        "UInt64": Passage("UInt64", 9, ctypes.c_uint64),
+        "Enumeration": Passage("Int64", 8, ctypes.c_int64),
+        "Boolean": Passage("Boolean", 10, ctypes.c_bool),
+        "String": Passage("String", -1, ctypes.c_char_p),
+    },
+}
+
+
+class Message(NamedTuple):
+    """One message of an FMU: the communication point it came at [s], its FMI status, its category and text."""
+
+    time: float
+    status: int
+    category: str
+    text: str
+
+
+class _Entry(ctypes.Structure):
+    _fields_ = (("time", c_double), ("status", c_int), ("category", c_char * 64), ("message", c_char * 1024))
+
+
+class _Log(ctypes.Structure):
+    _fields_ = (("time", c_double), ("count", c_size_t), ("entries", _Entry * (_LOG_FIRST + _LOG_LAST)))
+
+
+class _Conversion(ctypes.Structure):
+    _fields_ = (("index", c_size_t), ("factor", c_double), ("offset", c_double))
+
+
+class _Block(ctypes.Structure):
+    _fields_ = (
+        ("access", c_void_p),
+        ("references", c_void_p),
+        ("n_references", c_size_t),
+        ("positions", c_void_p),
+        ("n_values", c_size_t),
+        ("conversions", c_void_p),
+        ("n_conversions", c_size_t),
+        ("scratch", c_void_p),
+        ("buffer", c_void_p),
+        ("type", c_int),
+    )
+
+
+class _Table(ctypes.Structure):
+    _fields_ = (
+        ("instance", c_void_p),
+        ("do_step", c_void_p),
+        ("real_status", c_void_p),
+        ("boolean_status", c_void_p),
+        ("inputs", POINTER(_Block)),
+        ("n_inputs", c_size_t),
+        ("outputs", POINTER(_Block)),
+        ("n_outputs", c_size_t),
+        ("log", POINTER(_Log)),
+        ("failed", c_int),
+        ("stage", c_int),
+        ("terminated", c_int),
+        ("last_successful_time", c_double),
+    )
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    library = ctypes.CDLL(str(compile_shared(files("fmus").joinpath("adapter.c").read_text(encoding="utf-8"))))
+    for version in (2, 3):
+        step, write, read = (getattr(library, f"fmi{version}_{name}") for name in ("step", "write", "read"))
+        step.argtypes = (c_void_p, c_double, c_double, c_void_p, c_void_p)
+        write.argtypes = read.argtypes = (c_void_p, c_void_p)
+    return library
+
+
+def address(function: Any) -> int:
+    """The address of a C function known to ctypes."""
+    return cast(function, c_void_p).value or 0
+
+
+def callback(name: str) -> int:
+    """The address of one of adapter.c's callbacks for FMUs: fmi2_log, fmi3_log, fmi2_allocate, fmi2_free."""
+    return address(getattr(_library(), name))
+
+
+class Adapter:
+    """The C side of one FMU: what a step touches, where its instance stands, and what the FMU said.
+
+    `function` gives the address of a function of the FMU's library by its name without the prefix, like `DoStep`.
+    """
+
+    def __init__(self, version: int, function: Callable[[str], int]) -> None:
+        self._version, self._function = version, function
+        self._log = _Log()
+        self._table = _Table(log=ctypes.pointer(self._log), do_step=function("DoStep"))
+        if version == 2:
+            self._table.real_status, self._table.boolean_status = (
+                function("GetRealStatus"),
+                function("GetBooleanStatus"),
+            )
+        self._memory: dict[str, list[Any]] = {}
+        self.environment = addressof(self._log)
+        self.self = addressof(self._table)
+        self.step = getattr(_library(), f"fmi{version}_step")
+        self.write = getattr(_library(), f"fmi{version}_write")
+        self.read = getattr(_library(), f"fmi{version}_read")
+
+    def native(self) -> Native:
+        """The step and the table it works on; both addresses stay the same over all starts."""
+        return Native(address(self.step), self.self)
+
+    @property
+    def table(self) -> Any:
+        """The instance, how it ended and where: fields of the struct Slave in adapter.c."""
+        return self._table
+
+    def carry(self, inputs: Sequence[Variable]) -> None:
+        """Let each step set these variables from the bus, in this order; an array takes a place for each scalar."""
+        blocks = self._blocks(inputs, "Set")
+        self._table.inputs, self._table.n_inputs = blocks, len(blocks)
+
+    def fetch(self, outputs: Sequence[Variable]) -> None:
+        """Let each step get these variables to the bus, in this order, and no others."""
+        blocks = self._blocks(outputs, "Get")
+        self._table.outputs, self._table.n_outputs = blocks, len(blocks)
+
+    def renew(self, t0: float) -> None:
+        """Forget how the last instance ended and what it said."""
+        self._log.count, self._log.time = 0, t0
+        self._table.failed, self._table.terminated, self._table.last_successful_time = OK, 0, math.nan
+
+    def log(self) -> list[Message]:
+        """The messages since the last start, oldest first: all, or the first 64 and the last 192."""
+        count = self._log.count
+        kept = [*range(min(count, _LOG_FIRST)), *range(max(_LOG_FIRST, count - _LOG_LAST), count)]
+        entries = [self._log.entries[n if n < _LOG_FIRST else _LOG_FIRST + (n - _LOG_FIRST) % _LOG_LAST] for n in kept]
+        return [
+            Message(e.time, e.status, e.category.decode(errors="replace"), e.message.decode(errors="replace").rstrip())
+            for e in entries
+        ]
+
+    def dropped(self) -> int:
+        """How many messages since the last start are not in the log."""
+        return max(0, int(self._log.count) - _LOG_FIRST - _LOG_LAST)
+
+    def _blocks(self, variables: Sequence[Variable], access: str) -> Any:
+        """One block for each way of passing among the variables, in the order in which they first come."""
+        groups: dict[Passage, list[tuple[Variable, int]]] = {}
+        position = 0
+        for variable in variables:
+            groups.setdefault(PASSAGES[self._version][variable.type], []).append((variable, position))
+            position += variable.size
+        self._memory[access] = []
+        return (_Block * len(groups))(*(self._block(group, access, passage) for passage, group in groups.items()))
+
+    def _block(self, group: list[tuple[Variable, int]], access: str, passage: Passage) -> _Block:
+        memory = self._memory[access]
+
+        def hold(array: Any) -> int:
+            memory.append(array)
+            return addressof(array)
+
+        positions = [first + i for variable, first in group for i in range(variable.size)]
+        owners = [variable for variable, _ in group for _ in range(variable.size)]
+        conversions = [
+            _Conversion(i, v.quantity.factor, v.quantity.offset)
+            for i, v in enumerate(owners)
+            if v.quantity is not None and (v.quantity.factor, v.quantity.offset) != (1.0, 0.0)
+        ]
+        n = len(positions)
+        double = passage.c_type is c_double
+        in_a_row = positions == list(range(positions[0], positions[0] + n)) if positions else False
+        straight = double and in_a_row and not (conversions and access == "Set")
+        return _Block(
+            access=self._function(access + passage.function),
+            references=hold((c_uint32 * len(group))(*(variable.reference for variable, _ in group))),
+            n_references=len(group),
+            positions=hold((c_size_t * n)(*positions)),
+            n_values=n,
+            conversions=hold((_Conversion * len(conversions))(*conversions)),
+            n_conversions=len(conversions),
+            scratch=None if straight else hold((c_double * n)()),
+            buffer=None if double else hold((passage.c_type * n)()),
+            type=passage.number,
+        )
