@@ -11,8 +11,8 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from fmus.component import OK, Native
-from fmus.description import Variable
 from fmus.toolchain import compile_shared
+from fmus.variable import Variable
 
 _LOG_FIRST, _LOG_LAST = 64, 192
 

@@ -10,15 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from fmus.archive import unpack
-from fmus.component import ConfigurationError, Kind
+from fmus.component import ConfigurationError
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
-from fmus.units import Unit, UnitError, parse_unit
-
-_KINDS: dict[str, Kind] = {"Real": "real", "Float64": "real", "Float32": "real", "Boolean": "boolean"}
-_OFF_BUS = frozenset({"String", "Binary", "Clock"})
-_NAME_MATCHES = (
-    1e-9  # relative difference of factors up to which a unit's name means what the units of this project mean
-)
+from fmus.variable import Variable, read_variable
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,11 @@ from fmus.component import (
     StepError,
     Vector,
 )
-from fmus.description import FmuDescription, Variable, describe
+from fmus.description import FmuDescription, describe
 from fmus.model import unknown
 from fmus.slave import Slave
 from fmus.units import Unit, UnitError, parse_unit
+from fmus.variable import Variable
 
 __all__ = ["FmuComponent", "FmuDescription", "Message", "describe", "load_fmu"]
 

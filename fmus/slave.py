@@ -10,7 +10,8 @@ from typing import Any
 
 from fmus.adapter import PASSAGES, Adapter, address, callback
 from fmus.component import ERROR, FATAL, OK, WARNING, ConfigurationError, StepError, Vector
-from fmus.description import FmuDescription, Variable
+from fmus.description import FmuDescription
+from fmus.variable import Variable
 
 Start = tuple[Variable, tuple[float | str, ...]]
 

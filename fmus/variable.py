@@ -77,7 +77,7 @@ class Variable:
 
 
 def read_variable(v: Any, units: Mapping[str, Any], relative: bool) -> Variable:
-    """The variable that FMPy read as `v`, with FMPy's base units by name; a `relative` one is a difference of quantities.
+    """The variable FMPy read as `v`, with FMPy's base units by name; a `relative` one is a difference.
 
     Raises ConfigurationError: it has another number of start values than its shape has places.
     """
