@@ -77,7 +77,11 @@ def _needs_initial_unknown(interface: Interface, reference: int) -> bool:
 
 
 def fmi2_description(interface: Interface, identifier: str, token: str, version: str) -> str:
-    """modelDescription.xml of FMI 2.0 for both kinds, with `identifier` as model identifier."""
+    """modelDescription.xml of FMI 2.0 for both kinds, with `identifier` as model identifier.
+
+    Time is not listed, which FMI 2.0 leaves free and the FMI Library complains of: so a variable's
+    index, which counts from 1, is its value reference.
+    """
     variables = interface.variables
     root = ET.Element(
         "fmiModelDescription",
@@ -102,7 +106,7 @@ def fmi2_description(interface: Interface, identifier: str, token: str, version:
     _categories(root)
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0")
     listed = ET.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(variables):
+    for reference, variable in enumerate(variables[1:], start=1):
         element = ET.SubElement(
             listed, "ScalarVariable", {"name": variable.name, "valueReference": str(reference), **_common(variable)}
         )
@@ -110,7 +114,7 @@ def fmi2_description(interface: Interface, identifier: str, token: str, version:
         if variable.has_start:
             typed["start"] = _number(variable.start, variable.kind)
         if variable.derivative_of is not None:
-            typed["derivative"] = str(variable.derivative_of + 1)
+            typed["derivative"] = str(variable.derivative_of)
         ET.SubElement(element, _TYPES[2][variable.kind], typed)
 
     structure = ET.SubElement(root, "ModelStructure")
@@ -122,10 +126,10 @@ def fmi2_description(interface: Interface, identifier: str, token: str, version:
             continue
         block = ET.SubElement(structure, name)
         for reference in references:
-            attributes = {"index": str(reference + 1)}
+            attributes = {"index": str(reference)}
             known = variables[reference].dependencies
             if name != "InitialUnknowns" and known is not None:
-                attributes["dependencies"] = " ".join(str(one + 1) for one in known)
+                attributes["dependencies"] = " ".join(str(one) for one in known)
             ET.SubElement(block, "Unknown", attributes)
     return _text(root)
 
