@@ -55,28 +55,23 @@ class CompileError(ConfigurationError):
 
 
 def find_compiler() -> Compiler:
-    """The first of: the CRANKBENCH_CC and CC environment variables, cc, gcc and clang on PATH, zig.
+    """The first that answers of: the CRANKBENCH_CC and CC environment variables, cc, gcc and clang on PATH, zig.
 
     `CRANKBENCH_CC=zig` asks for zig where there are others.
 
-    Raises ConfigurationError: none answers, or one that a variable names does not.
+    Raises ConfigurationError: none answers, or the one that CRANKBENCH_CC names does not.
     """
-    for variable in ("CRANKBENCH_CC", "CC"):
-        command = tuple(shlex.split(os.environ.get(variable, ""), posix=os.name != "nt"))
+    named = os.environ.get("CRANKBENCH_CC", "")
+    for candidate in (named, os.environ.get("CC", ""), "cc", "gcc", "clang"):
+        command = tuple(shlex.split(candidate, posix=os.name != "nt"))
         if command == ("zig",):
             return find_zig()
-        if command:
-            version = _version(command)
-            if not version:
-                raise ConfigurationError(
-                    f"{variable} names '{os.environ[variable]}', which does not run: correct or unset {variable}"
-                )
-            return Compiler(command, version, "zig" if "zig" in Path(command[0]).stem else "cc")
-    for name in ("cc", "gcc", "clang"):
-        path = shutil.which(name)
-        version = _version((path,)) if path else ""
+        path = shutil.which(command[0]) if command else None
+        version = _version((path, *command[1:])) if path else ""
         if path and version:
-            return Compiler((path,), version, "cc")
+            return Compiler((path, *command[1:]), version, "zig" if "zig" in Path(path).stem else "cc")
+        if named:
+            raise ConfigurationError(f"CRANKBENCH_CC names '{named}', which does not run: correct it or unset it")
     zig = _zig()
     if zig is None:
         raise ConfigurationError(f"no C compiler: cc, gcc and clang are not on PATH; {_INSTALL_ZIG}")

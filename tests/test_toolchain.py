@@ -118,7 +118,7 @@ def test_a_missing_compiler_is_named_with_what_to_install(bare_path, monkeypatch
         toolchain.find_compiler()
 
 
-def test_a_compiler_that_a_variable_names_but_does_not_run_is_an_error(bare_path, monkeypatch):
+def test_a_compiler_that_is_asked_for_by_name_but_does_not_run_is_an_error(bare_path, monkeypatch):
     monkeypatch.setenv("CRANKBENCH_CC", "no-such-cc -m64")
     with pytest.raises(ConfigurationError, match="CRANKBENCH_CC names 'no-such-cc -m64'"):
         toolchain.find_compiler()
