@@ -1,0 +1,84 @@
+/* The step loop: steps a table of parts over a flat bus of doubles and records rows of it. */
+#include <float.h>
+#include <stdint.h>
+
+#ifdef _WIN32
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+/* FMI's numbers of a status; DIVERGED is ours. */
+enum { OK = 0, WARNING = 1, FATAL = 4, DIVERGED = 5 };
+
+typedef int (*Step)(void *self, double t, double h, const double *u, double *y);
+
+typedef struct {
+    Step step;
+    void *self;
+    const double *u;       /* where the step reads its inputs: the bus itself, or `gathered` */
+    double *gathered;
+    const int64_t *inputs; /* places on the bus of the inputs to gather */
+    int64_t gathers;       /* how many; 0 where u points into the bus */
+    double *y;             /* where the step writes: the part's outputs on the bus */
+    int64_t outputs;
+    int64_t period;        /* in steps of the clock */
+    int64_t warnings;      /* counted here */
+} Part;
+
+typedef struct {
+    double t0, h;
+    Part *parts; /* in the order they are stepped */
+    int64_t count;
+    const double *bus;
+    const int64_t *recorded; /* places on the bus of the columns of a row */
+    int64_t columns;
+} Loop;
+
+typedef struct {
+    int64_t part;   /* index into `parts` of the one that stopped the loop */
+    int64_t output; /* index of its first non-finite output, where it diverged */
+    int64_t k;      /* the instant it was stepped to */
+} Stop;
+
+/* Steps from instant `from` to instant `to`, t_k = t0 + k h, and writes rows from+1 ... to, each of `columns` doubles.
+ * Returns OK; or the status above WARNING, or DIVERGED, that stopped it: then `stop` says where, and the row of that
+ * instant is not written. */
+EXPORT int crankbench_advance(const Loop *loop, int64_t from, int64_t to, double *rows, Stop *stop)
+{
+    const double t0 = loop->t0, h = loop->h;
+    const double *bus = loop->bus;
+    const int64_t *recorded = loop->recorded;
+    const int64_t columns = loop->columns, count = loop->count;
+
+    for (int64_t k = from + 1; k <= to; k++) {
+        for (int64_t i = 0; i < count; i++) {
+            Part *part = &loop->parts[i];
+            const int64_t n = part->period;
+            if (n != 1 && k % n != 0) continue;
+            for (int64_t j = 0; j < part->gathers; j++) part->gathered[j] = bus[part->inputs[j]];
+            const int status = part->step(part->self, t0 + (double)(k - n) * h, (double)n * h, part->u, part->y);
+            if (status != OK) {
+                if (status != WARNING) {
+                    stop->part = i;
+                    stop->output = -1;
+                    stop->k = k;
+                    return status;
+                }
+                part->warnings++;
+            }
+            for (int64_t j = 0; j < part->outputs; j++) {
+                const double y = part->y[j];
+                if (!(y >= -DBL_MAX && y <= DBL_MAX)) {
+                    stop->part = i;
+                    stop->output = j;
+                    stop->k = k;
+                    return DIVERGED;
+                }
+            }
+        }
+        for (int64_t j = 0; j < columns; j++) rows[j] = bus[recorded[j]];
+        rows += columns;
+    }
+    return OK;
+}

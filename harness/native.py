@@ -1,0 +1,45 @@
+"""The C of the step loop, its sensors and its sources: compiled into one library, opened once a process."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.component import Native
+from fmus.toolchain import compile_shared
+
+_FILES = ("loop.c", "sensor.c", "source.c")
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The compiled library; its calls release the GIL. Raises ConfigurationError: there is no compiler."""
+    folder = Path(__file__).parent
+    return ctypes.CDLL(str(compile_shared("\n".join((folder / name).read_text("utf-8") for name in _FILES))))
+
+
+def native_step(function: str, state: ctypes.Structure) -> Native:
+    """A function of the library and the structure it works on, as a step that C may call."""
+    step = ctypes.cast(getattr(library(), function), ctypes.c_void_p).value
+    return Native(step or 0, ctypes.addressof(state))
+
+
+def address(array: NDArray[np.float64] | NDArray[np.int64] | None) -> int | None:
+    """Where the numbers of an array lie; None, C's NULL, for no array. The caller keeps the array alive."""
+    return None if array is None else array.ctypes.data
+
+
+def call(
+    function: str, state: ctypes.Structure, *times: float, u: Sequence[float] | NDArray[np.float64] = ()
+) -> tuple[int, float]:
+    """Status and the one output of a step or start function of the library, called from Python."""
+    inputs = (ctypes.c_double * max(len(u), 1))(*u)
+    output = ctypes.c_double()
+    arguments = [ctypes.c_double(time) for time in times]
+    status = getattr(library(), function)(ctypes.byref(state), *arguments, inputs, ctypes.byref(output))
+    return status, output.value
