@@ -24,7 +24,8 @@ class Signal:
     """One declared variable: name, unit, start value and the range it is meant to stay in.
 
     `shape` () is a scalar, (n,) or (n, m) an array, which FMI sees as the scalars
-    `name[1]` ... or `name[1,1]` ... in row-major order. Values are in `unit`. A `local` state stays inside: it is no output of the FMU.
+    `name[1]` ... or `name[1,1]` ... in row-major order. Values are in `unit`. A `local` state stays inside: it is no
+    output of the FMU.
     """
 
     name: str
@@ -62,8 +63,8 @@ class Signal:
 class Native(NamedTuple):
     """A step that C may call without Python: `int step(void *self, double t, double h, const double *u, double *y)`.
 
-    It advances from t to t + h. `u` and `y` hold the component's flat inputs and outputs in declared order, in SI units; the
-    status is one of those above. `step` and `self` are addresses.
+    It advances from t to t + h. `u` and `y` hold the component's flat inputs and outputs in declared order, in SI
+    units; the status is one of those above. `step` and `self` are addresses.
     """
 
     step: int
@@ -79,10 +80,21 @@ class Component(Protocol):
     depends algebraically on the input. `start` rebuilds all state.
     """
 
-    role: Role
-    inputs: Sequence[Signal]
-    outputs: Sequence[Signal]
-    feedthrough: frozenset[tuple[str, str]]
+    @property
+    def role(self) -> Role:
+        """What it is in the scenario."""
+
+    @property
+    def inputs(self) -> Sequence[Signal]:
+        """Scalars in the order of u."""
+
+    @property
+    def outputs(self) -> Sequence[Signal]:
+        """Scalars in the order of y."""
+
+    @property
+    def feedthrough(self) -> frozenset[tuple[str, str]]:
+        """Pairs (output name, input name)."""
 
     def start(self, t0: float, u: Vector) -> Vector:
         """Initialise at time t0 [s] with inputs u and return the initial outputs."""
