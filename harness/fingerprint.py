@@ -1,0 +1,110 @@
+"""The key of a case: a hash of all that determines its bytes."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+import json
+from collections.abc import Iterable
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+from harness.scenario import ModelPart, Scenario
+
+ROOT = Path(__file__).resolve().parent.parent
+# Modules that every case passes through, besides its parts' own; C sources of these packages go along.
+COMMON = ("harness.run", "harness.wiring", "harness.record", "fmus.export", "fmus.fmu")
+NATIVE_FOLDERS = ("fmus", "harness")
+
+
+def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
+    """First 16 hex digits of the sha256 over the scenario, its experiment, the parts' content and the package version.
+
+    The content of a part is its FMU file, or its module with everything that imports from the same packages.
+    `folder` is where relative paths start. Metrics are no part of it: they are measured again from the record.
+    """
+    content = {
+        "scenario": scenario.model_dump(mode="json", by_alias=True),
+        "experiment": experiment,
+        "parts": {
+            name: _content(part.use, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)
+        },
+        "common": _sources_digest(COMMON),
+        "version": version("crankbench"),
+    }
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _content(use: str, folder: Path) -> str:
+    if use.endswith(".fmu"):
+        path = folder / use
+        return _file_digest(path, path.stat().st_mtime_ns) if path.is_file() else "missing"
+    return _sources_digest((use.partition(":")[0],))
+
+
+@cache
+def _file_digest(path: Path, modified: int) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@cache
+def _sources_digest(modules: tuple[str, ...]) -> str:
+    """Sha256 over the modules' sources, those they import from their own packages or ours, and all C sources."""
+    files = _closure(modules)
+    natives = sorted(
+        path for folder in NATIVE_FOLDERS for suffix in ("*.c", "*.h") for path in (ROOT / folder).rglob(suffix)
+    )
+    digest = hashlib.sha256()
+    for name, path in [*files, *((str(path.relative_to(ROOT)), path) for path in natives)]:
+        digest.update(name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def _closure(modules: Iterable[str]) -> list[tuple[str, Path]]:
+    """(module name, source file) of the modules and of all they import, within the packages they belong to."""
+    waiting = list(modules)
+    packages = {"fmus", "harness", "observers", "selection"} | {name.partition(".")[0] for name in waiting}
+    found: dict[str, Path] = {}
+    while waiting:
+        name = waiting.pop()
+        path = None if name in found else _source(name)
+        if path is None:
+            continue
+        found[name] = path
+        inside = [*_imports(path, name), name.rpartition(".")[0]]
+        waiting += [other for other in inside if other.partition(".")[0] in packages]
+    return sorted(found.items())
+
+
+def _source(name: str) -> Path | None:
+    """The Python source of a module; None where there is none (then wiring says what is wrong with it)."""
+    if not name:
+        return None
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        return None
+    origin = spec.origin if spec is not None else None
+    return Path(origin) if origin is not None and origin.endswith(".py") else None
+
+
+def _imports(path: Path, module: str) -> list[str]:
+    """The modules that a source file imports, `from x import y` as both x and x.y."""
+    try:
+        tree = ast.parse(path.read_bytes())
+    except SyntaxError:
+        return []
+    names: list[str] = []
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*parents, base] if base else parents)
+            names += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+    return names
