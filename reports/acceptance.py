@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from reports.folder import Criterion, Run
 
 
-def pytest_collect_directory(
-    path: Path, parent: pytest.Collector
-) -> pytest.Collector | None:
+def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:
     """A run folder is collected as criteria; every other folder is left to pytest."""
     if not _is_run_folder(path):
         return None
@@ -74,9 +72,7 @@ class AcceptanceFile(pytest.File):
         for criterion in criteria:
             taken[criterion.name] = taken.get(criterion.name, 0) + 1
             again = f" ({taken[criterion.name]})" if taken[criterion.name] > 1 else ""
-            yield CriterionTest.from_parent(
-                self, name=criterion.name + again, criterion=criterion, run=run
-            )
+            yield CriterionTest.from_parent(self, name=criterion.name + again, criterion=criterion, run=run)
 
 
 class CriterionTest(pytest.Item):
@@ -93,14 +89,10 @@ class CriterionTest(pytest.Item):
         if self.run.missing:
             raise AssertionError(_incomplete(self.run))
 
-    def repr_failure(
-        self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
-    ) -> Any:
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:
         """The message alone: a traceback into this file helps nobody."""
         return (
-            excinfo.getrepr(style="value")
-            if excinfo.errisinstance(AssertionError)
-            else super().repr_failure(excinfo)
+            excinfo.getrepr(style="value") if excinfo.errisinstance(AssertionError) else super().repr_failure(excinfo)
         )
 
     def reportinfo(self) -> tuple[Path, None, str]:
@@ -109,17 +101,13 @@ class CriterionTest(pytest.Item):
 
 
 def _is_run_folder(path: Path) -> bool:
-    return (path / "campaign.json").is_file() and any(
-        (path / name).exists() for name in ("cases", "acceptance.json")
-    )
+    return (path / "campaign.json").is_file() and any((path / name).exists() for name in ("cases", "acceptance.json"))
 
 
 def _verdict(criterion: Criterion, run: Run) -> str:
     unit = "" if criterion.unit in ("", "1") else f" {criterion.unit}"
     worst = next((case for case in run.cases if case.key == criterion.case), None)
-    lines = [
-        f"{criterion.name}: value {criterion.value:.6g}{unit}, bound {criterion.bound:.6g}{unit}"
-    ]
+    lines = [f"{criterion.name}: value {criterion.value:.6g}{unit}, bound {criterion.bound:.6g}{unit}"]
     if worst is not None:
         lines.append(f"worst case: {worst.label} ({worst.key}), {worst.outcome}")
     elif criterion.case:
@@ -133,7 +121,5 @@ def _verdict(criterion: Criterion, run: Run) -> str:
 
 
 def _incomplete(run: Run) -> str:
-    named = ", ".join(case.label for case in run.missing[:5]) + (
-        ", ..." if len(run.missing) > 5 else ""
-    )
+    named = ", ".join(case.label for case in run.missing[:5]) + (", ..." if len(run.missing) > 5 else "")
     return f"incomplete campaign: {len(run.missing)} of {len(run.cases)} cases have no case.json: {named}"

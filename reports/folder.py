@@ -63,13 +63,8 @@ class Case:
     @property
     def scenario(self) -> str:
         """What was varied but the seed: the experiment and the values, as one line."""
-        varied = [
-            f"{path} = {text}" for path, text in self.values.items() if path != "seed"
-        ]
-        return (
-            " · ".join([*([self.experiment] if self.experiment else []), *varied])
-            or "as declared"
-        )
+        varied = [f"{path} = {text}" for path, text in self.values.items() if path != "seed"]
+        return " · ".join([*([self.experiment] if self.experiment else []), *varied]) or "as declared"
 
 
 @dataclass(frozen=True)
@@ -118,11 +113,7 @@ class Run:
     @property
     def accepted(self) -> bool:
         """True when every case ran to its end and every criterion passed."""
-        return (
-            not self.failed
-            and self.criteria is not None
-            and all(criterion.passed for criterion in self.criteria)
-        )
+        return not self.failed and self.criteria is not None and all(criterion.passed for criterion in self.criteria)
 
     def case(self, key: str) -> Case:
         """The case of that key or label. Raises KeyError with the nearest."""
@@ -149,19 +140,12 @@ class Run:
         if experiment is not None and experiment not in experiments:
             raise KeyError(unknown(experiment, experiments, "experiment"))
         cases = [case for case in self.cases if experiment in (None, case.experiment)]
-        values = {
-            case.label: case.metrics[name].value if name in case.metrics else math.nan
-            for case in cases
-        }
+        values = {case.label: case.metrics[name].value if name in case.metrics else math.nan for case in cases}
         series = pd.Series(values, name=name, dtype=float)
-        series.attrs["unit"] = next(
-            case.metrics[name].unit for case in self.cases if name in case.metrics
-        )
+        series.attrs["unit"] = next(case.metrics[name].unit for case in self.cases if name in case.metrics)
         return series
 
-    def signals(
-        self, case: Case | str, names: Sequence[str] | None = None
-    ) -> pd.DataFrame:
+    def signals(self, case: Case | str, names: Sequence[str] | None = None) -> pd.DataFrame:
         """Recorded signals of a case in SI, one column a signal, indexed by time [s].
 
         Raises KeyError with the nearest name: a signal was not recorded. Raises RunFolderError: no record.
@@ -186,13 +170,9 @@ def read_run(folder: Path | str) -> Run:
     """
     path = Path(folder)
     if not path.is_dir():
-        raise RunFolderError(
-            f"{path}: wants a run folder, got {'a file' if path.exists() else 'nothing there'}"
-        )
+        raise RunFolderError(f"{path}: wants a run folder, got {'a file' if path.exists() else 'nothing there'}")
     if not (path / "campaign.json").is_file():
-        raise RunFolderError(
-            f"{path}: wants campaign.json in a run folder, got {_listing(path)}"
-        )
+        raise RunFolderError(f"{path}: wants campaign.json in a run folder, got {_listing(path)}")
     campaign = _read(path / "campaign.json", dict)
     for key, kind in (("campaign", str), ("cases", list)):
         if not isinstance(campaign.get(key), kind):
@@ -215,9 +195,7 @@ def read_criteria(folder: Path) -> tuple[Criterion, ...]:
     """
     path = folder / "acceptance.json"
     if not path.is_file():
-        raise RunFolderError(
-            f"{path} is missing: the campaign was not judged; run it to its end with `crankbench run`"
-        )
+        raise RunFolderError(f"{path} is missing: the campaign was not judged; run it to its end with `crankbench run`")
     criteria = []
     for number, entry in enumerate(_read(path, list), start=1):
         if (
@@ -248,9 +226,7 @@ _JSON_NAMES = {dict: "an object", list: "a list", str: "text"}
 
 def _read_case(folder: Path, entry: Any) -> Case:
     if not isinstance(entry, dict) or not isinstance(entry.get("key"), str):
-        raise RunFolderError(
-            f"{folder / 'campaign.json'}: a case wants an object with 'key', got {_short(entry)}"
-        )
+        raise RunFolderError(f"{folder / 'campaign.json'}: a case wants an object with 'key', got {_short(entry)}")
     key = entry["key"]
     path = folder / "cases" / key / "case.json"
     known = {
@@ -274,14 +250,8 @@ def _read_case(folder: Path, entry: Any) -> Case:
         part=str(found.get("part") or ""),
         failed_at=_number(found.get("failed_at")),
         message=str(found.get("message") or ""),
-        metrics={
-            name: _measured(path, name, metric)
-            for name, metric in (found.get("metrics") or {}).items()
-        },
-        samples={
-            name: tuple(map(_number, values))
-            for name, values in (found.get("samples") or {}).items()
-        },
+        metrics={name: _measured(path, name, metric) for name, metric in (found.get("metrics") or {}).items()},
+        samples={name: tuple(map(_number, values)) for name, values in (found.get("samples") or {}).items()},
         starts=found.get("starts") or {},
         wall=found.get("wall") or {},
         warnings=tuple(found.get("warnings") or ()),
@@ -294,9 +264,7 @@ def _read_case(folder: Path, entry: Any) -> Case:
 
 def _measured(path: Path, name: str, metric: Any) -> Measured:
     if not isinstance(metric, dict) or "value" not in metric:
-        raise RunFolderError(
-            f"{path}: metric {name} wants {{value, unit}}, got {_short(metric)}"
-        )
+        raise RunFolderError(f"{path}: metric {name} wants {{value, unit}}, got {_short(metric)}")
     return Measured(_number(metric["value"]), str(metric.get("unit") or "1"))
 
 
@@ -306,9 +274,7 @@ def _read(path: Path, wanted: type) -> Any:
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise RunFolderError(f"{path}: wants JSON, got {error}") from error
     if not isinstance(content, wanted):
-        raise RunFolderError(
-            f"{path}: wants {_JSON_NAMES[wanted]}, got {_short(content)}"
-        )
+        raise RunFolderError(f"{path}: wants {_JSON_NAMES[wanted]}, got {_short(content)}")
     return content
 
 
@@ -326,7 +292,4 @@ def _short(raw: Any) -> str:
 
 
 def _listing(path: Path) -> str:
-    return (
-        ", ".join(sorted(child.name for child in path.iterdir())[:6])
-        or "an empty folder"
-    )
+    return ", ".join(sorted(child.name for child in path.iterdir())[:6]) or "an empty folder"

@@ -1,0 +1,245 @@
+"""Writes report.html of a run folder: one self-contained page, the verdict first and the provenance last."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from reports import figures, numbers, provenance, standing
+from reports.errors import Errors, pool, samples_of
+from reports.folder import Case, Run, read_run
+from reports.interactive import interactive, points_a_trace
+from reports.traces import TRUTH_COLOUR, Figure, declared_figures, part_colours
+
+TEMPLATES = Path(__file__).parent
+# More scenarios than this are drawn by experiment only; more cases than this are listed in metrics.csv only.
+SCENARIOS_DRAWN, CASES_LISTED = 40, 2000
+
+
+def write_report(folder: Path | str) -> Path:
+    """The path of the report.html written into a run folder, whole or not at all.
+
+    Raises RunFolderError: the folder holds no run, or a file of it does not hold what the contract says.
+    """
+    run = read_run(folder)
+    path = run.path / "report.html"
+    _write(path, render(run))
+    return path
+
+
+def render(run: Run) -> str:
+    """The page. Metrics and verdicts are the run's own; only their medians and distributions over cases are made here."""
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {"short": numbers.short, "with_unit": numbers.with_unit}
+    titles, drawn = standing.observers(run), declared_figures(run)
+    errors, confusions = pool(run)
+    quantities = standing.quantities(run)
+    comparable = [quantity for quantity in quantities if len(quantity.metrics) > 1]
+    solver, starts = provenance.applied_starts(run)
+    plots = [interactive(figure, points_a_trace(drawn)) if figure.panels else None for figure in drawn]
+    return environment.get_template("report.html.jinja").render(
+        run=run,
+        style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
+        verdict=verdict(run),
+        outcomes=Counter(case.outcome for case in run.cases).most_common(),
+        labels={case.key: case.label for case in run.cases},
+        titles=titles,
+        leaderboards=[(quantity, standing.leaderboard(run, quantity)) for quantity in comparable],
+        single=[
+            (quantity, standing.leaderboard(run, quantity)[0]) for quantity in quantities if len(quantity.metrics) == 1
+        ],
+        reached=_reached,
+        ratio=_ratio,
+        heat_maps=[(quantity, Markup(_heat_map(run, quantity, f"heat{n}"))) for n, quantity in enumerate(comparable)]
+        if len(standing.scenarios(run)) > 1
+        else [],
+        figures=[
+            (
+                figure,
+                Markup(figures.signals(figure, f"figure{n}")) if figure.panels else "",
+                _script_json(plot),
+                _longest(figure),
+            )
+            for n, (figure, plot) in enumerate(zip(drawn, plots, strict=True))
+        ],
+        points=points_a_trace(drawn),
+        plotly=Markup(get_plotlyjs()) if any(plots) else "",
+        histograms=_histograms(run, errors),
+        confusions=[
+            (matrix, Markup(figures.confusion(matrix, f"confusion{n}"))) for n, matrix in enumerate(confusions)
+        ],
+        detections=_detections(run),
+        delays=_delays(run),
+        published=_published(run),
+        cases_listed=run.cases if len(run.cases) <= CASES_LISTED else (),
+        metric_names=run.metric_names(),
+        definitions=standing.definitions(run),
+        facts=provenance.facts(run),
+        binaries=provenance.binaries(run),
+        orders=provenance.step_orders(run),
+        solver=solver,
+        starts=starts,
+        tolerated=provenance.tolerated(run),
+    )
+
+
+def verdict(run: Run) -> tuple[str, str]:
+    """The verdict as (word, class): accepted only where every case ran to its end and every criterion passed."""
+    if run.missing or run.criteria is None:
+        return "Incomplete", "bad"
+    if not run.accepted:
+        return "Not accepted", "bad"
+    return ("Accepted", "good") if run.criteria else ("No criteria declared", "plain")
+
+
+def _heat_map(run: Run, quantity: standing.Quantity, name: str) -> str:
+    groups = standing.scenarios(run)
+    if len(groups) > SCENARIOS_DRAWN:
+        groups = {}
+        for case in run.cases:
+            groups.setdefault(case.experiment or "all cases", []).append(case)
+    titles = standing.observers(run)
+    values = np.array(
+        [
+            [
+                standing.standing(run, metric, observer, quantity.higher_is_better, cases).median
+                for observer, metric in quantity.metrics.items()
+            ]
+            for cases in groups.values()
+        ]
+    )
+    label = f"median [{quantity.unit}]" if quantity.unit != "1" else "median"
+    columns = [titles.get(observer, observer) for observer in quantity.metrics]
+    return figures.heat_map(list(groups), columns, values, label, name)
+
+
+def _histograms(run: Run, errors: Sequence[Errors]) -> list[tuple[str, Sequence[Errors], Markup]]:
+    titles, colours = standing.observers(run), part_colours(run)
+    by_truth: dict[str, list[Errors]] = {}
+    for pooled in errors:
+        by_truth.setdefault(pooled.pair.truth, []).append(pooled)
+    drawn = []
+    for number, (truth, group) in enumerate(by_truth.items()):
+        parts = [pooled.pair.estimate.split(".")[0] for pooled in group]
+        named = [titles.get(part, part) for part in parts]
+        inked = [colours.get(part, TRUTH_COLOUR) for part in parts]
+        drawn.append((truth, group, Markup(figures.error_histograms(group, named, inked, f"errors{number}"))))
+    return drawn
+
+
+def _detections(run: Run) -> list[dict[str, Any]]:
+    rows = []
+    for name in _detection_names(run):
+        for scenario, cases in standing.scenarios(run).items():
+            pooled = samples_of(run, f"{name}.delay", cases)
+            if any(f"{name}.changes" in case.metrics or f"{name}.delay" in case.samples for case in cases):
+                rows.append(
+                    {
+                        "metric": name,
+                        "scenario": scenario,
+                        "cases": len(cases),
+                        "failed": sum(not case.complete for case in cases),
+                        "changes": len(pooled),
+                        "missed": int(np.isinf(pooled).sum()),
+                        "median": _nearest_rank(pooled, 0.5),
+                        "p95": _nearest_rank(pooled, 0.95),
+                        "unit": standing.unit_of(run, f"{name}.delay_median"),
+                        "alarms": _mean(cases, f"{name}.false_alarms_per_min"),
+                        "alarms_unit": standing.unit_of(run, f"{name}.false_alarms_per_min"),
+                        "accuracy": _mean(cases, f"{name}.accuracy"),
+                    }
+                )
+    return rows
+
+
+def _delays(run: Run) -> Markup | str:
+    found = {
+        standing.observer_of(run, name) or name: samples_of(run, f"{name}.delay") for name in _detection_names(run)
+    }
+    found = {observer: samples for observer, samples in found.items() if len(samples)}
+    if not found:
+        return ""
+    unit = standing.unit_of(run, f"{_detection_names(run)[0]}.delay_median")
+    return Markup(figures.delays(found, unit, standing.observers(run), part_colours(run), "delays"))
+
+
+def _detection_names(run: Run) -> list[str]:
+    sampled = {name for case in run.cases for name in case.samples if name.endswith(".delay")}
+    return [name for name in standing.definitions(run) if f"{name}.delay" in sampled]
+
+
+def _published(run: Run) -> list[dict[str, Any]]:
+    rows = []
+    for entry in (run.campaign.get("report") or {}).get("published") or ():
+        metric, experiment = str(entry.get("metric") or ""), entry.get("experiment")
+        cases = [case for case in run.cases if experiment in (None, case.experiment)]
+        values = [case.metrics[metric].value for case in cases if metric in case.metrics]
+        values = [value for value in values if not math.isnan(value)] or list(samples_of(run, metric, cases))
+        unit = standing.unit_of(run, metric)
+        ours = f"{metric}: no case of {experiment or 'the campaign'} has it" if metric else "see the figures"
+        if len(values) == 1:
+            ours = numbers.with_unit(values[0], unit)
+        elif values:
+            spread = f"{numbers.short(min(values))} to {numbers.short(max(values))}"
+            ours = f"{numbers.with_unit(_nearest_rank(values, 0.5), unit)} (median of {len(values)}; {spread})"
+        rows.append({"experiment": "", "note": "", **entry, "ours": ours})
+    return rows
+
+
+def _nearest_rank(values: Sequence[float] | np.ndarray, share: float) -> float:
+    return float(np.quantile(values, share, method="inverted_cdf")) if len(values) else math.nan
+
+
+def _mean(cases: Iterable[Case], metric: str) -> float:
+    values = [case.metrics[metric].value for case in cases if metric in case.metrics]
+    return float(np.mean(values)) if values else math.nan
+
+
+def _reached(value: float, row: standing.Standing) -> str:
+    return "failed" if math.isinf(value) and row.failed else numbers.short(value)
+
+
+def _ratio(row: standing.Standing, best: standing.Standing) -> str:
+    usable = math.isfinite(row.median) and math.isfinite(best.median) and best.median > 0 and row.median > 0
+    return f"× {numbers.short(row.median / best.median, 3)}" if usable else "–"
+
+
+def _longest(figure: Figure) -> int:
+    return max((len(trace.time) for panel in figure.panels for trace in panel.traces), default=0)
+
+
+def _script_json(plot: dict[str, Any] | None) -> Markup:
+    return (
+        Markup(json.dumps(plot, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")) if plot else Markup("")
+    )
+
+
+def _write(path: Path, page: str) -> None:
+    handle, temporary = tempfile.mkstemp(prefix=".report.", suffix=".html", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(page)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise

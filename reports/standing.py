@@ -1,0 +1,254 @@
+"""How the observers stand: which metrics compare, and median, p95 and worst of each over the cases, failures counted."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fmus.units import UnitError, parse_quantity, parse_unit
+from reports.folder import Case, Run
+
+# Kinds of metric, and parts of a metric with several values, of which more is better; a criterion with > says so too.
+BETTER_WHEN_HIGHER = ("accuracy", "share_within", "convergence_rate")
+# What a definition says beside its kind.
+OPTIONS = ("description", "after", "until", "unit", "only", "meaning")
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A metric as the campaign declares it: its kind, what it compares as (truth, estimate), or the signals it looks at."""
+
+    name: str
+    kind: str
+    pairs: tuple[tuple[str, str], ...]
+    signals: tuple[str, ...]
+    after: float
+    until: float
+    text: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One thing several observers are measured by: `metrics` maps the observer to its metric."""
+
+    label: str
+    unit: str
+    higher_is_better: bool
+    metrics: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One metric over many cases, in the metric's unit. A failed case counts as infinitely bad, a case to which the metric
+    does not apply as nothing. `p95`: 95 % of the cases are at least this good."""
+
+    observer: str
+    metric: str
+    measured: int
+    failed: int
+    median: float
+    p95: float
+    worst: float
+    worst_case: str
+
+
+def definitions(run: Run) -> dict[str, Definition]:
+    """The campaign's metrics by name; windows in s."""
+    found = {}
+    for name, raw in (run.campaign.get("metrics") or {}).items():
+        options: Mapping[str, Any] = raw if isinstance(raw, Mapping) else {}
+        kind = next((key for key in options if key not in OPTIONS), name)
+        pairs = tuple(_pairs(options.get(kind)))
+        signals = tuple(dict.fromkeys(_signals(options.get(kind))))
+        rest = [f"{key} {_plain(value)}" for key, value in options.items() if key in OPTIONS[1:5] and value is not None]
+        found[str(name)] = Definition(
+            name=str(name),
+            kind=kind,
+            pairs=pairs,
+            signals=signals,
+            after=_seconds(options.get("after"), -math.inf),
+            until=_seconds(options.get("until"), math.inf),
+            text="; ".join([f"{kind}: {_plain(options.get(kind))}", *rest]),
+            meaning=str(options.get("description") or options.get("meaning") or ""),
+        )
+    return found
+
+
+def observers(run: Run) -> dict[str, str]:
+    """Titles of the observers by part name: as the report section names them, else the parts metrics compare with a truth."""
+    declared = (run.campaign.get("report") or {}).get("observers") or {}
+    if declared:
+        return {name: str((entry or {}).get("title") or _title(name)) for name, entry in declared.items()}
+    parts = [
+        definition.signals[1].split(".")[0] for definition in definitions(run).values() if len(definition.signals) > 1
+    ]
+    return {part: _title(part) for part in dict.fromkeys(parts)}
+
+
+def quantities(run: Run) -> list[Quantity]:
+    """What the observers are measured by, in the order of the metrics: metrics of one kind and one truth are one quantity."""
+    known = definitions(run)
+    grouped: dict[tuple[Any, ...], dict[str, str]] = {}
+    labels: dict[tuple[Any, ...], str] = {}
+    for metric in run.metric_names():
+        base, _, part = metric.partition(".")
+        definition = known.get(metric) or known.get(base)
+        observer = observer_of(run, metric)
+        if definition is None or not definition.pairs or not observer:
+            key: tuple[Any, ...] = (metric,)
+            label = metric
+        else:
+            truths = tuple(dict.fromkeys(truth for truth, _ in definition.pairs))
+            key = (
+                definition.kind,
+                truths,
+                definition.after,
+                definition.until,
+                part,
+                unit_of(run, metric),
+            )
+            label = f"{definition.kind.replace('_', ' ')} of {', '.join(truths)}" + (
+                f": {part.replace('_', ' ')}" if part else ""
+            )
+        if observer in grouped.get(key, {}):
+            key, label = (metric,), metric
+        grouped.setdefault(key, {})[observer] = metric
+        labels.setdefault(key, label)
+    return [
+        Quantity(
+            labels[key],
+            unit_of(run, next(iter(metrics.values()))),
+            _higher_is_better(run, metrics.values()),
+            metrics,
+        )
+        for key, metrics in grouped.items()
+    ]
+
+
+def observer_of(run: Run, metric: str) -> str:
+    """The observer a metric belongs to: as the report section lists it, else the part of the metric's last signal."""
+    base = metric.partition(".")[0]
+    for name, entry in ((run.campaign.get("report") or {}).get("observers") or {}).items():
+        if {metric, base} & set((entry or {}).get("metrics") or ()):
+            return str(name)
+    definition = definitions(run).get(base)
+    part = definition.signals[-1].split(".")[0] if definition and len(definition.signals) > 1 else ""
+    return part if part in observers(run) else ""
+
+
+def unit_of(run: Run, metric: str) -> str:
+    """The unit the metric's values are in."""
+    return next((case.metrics[metric].unit for case in run.cases if metric in case.metrics), "1")
+
+
+def standing(
+    run: Run,
+    metric: str,
+    observer: str,
+    higher_is_better: bool,
+    cases: Sequence[Case] | None = None,
+) -> Standing:
+    """Median, p95 and worst of a metric over `cases`, all where None."""
+    sign = -1.0 if higher_is_better else 1.0
+    values, failed = [], []
+    for case in run.cases if cases is None else cases:
+        value = case.metrics[metric].value if metric in case.metrics else math.nan
+        if not math.isnan(value):
+            values.append((sign * value, case.label))
+        elif not case.complete:
+            failed.append((math.inf, case.label))
+    ranked = sorted(values + failed, key=lambda pair: pair[0])
+    costs = np.array([cost for cost, _ in ranked])
+    return Standing(
+        observer=observer,
+        metric=metric,
+        measured=len(values),
+        failed=len(failed),
+        median=sign * _quantile(costs, 0.5),
+        p95=sign * _quantile(costs, 0.95),
+        worst=sign * costs[-1] if ranked else math.nan,
+        worst_case=ranked[-1][1] if ranked else "",
+    )
+
+
+def leaderboard(run: Run, quantity: Quantity) -> list[Standing]:
+    """The observers of a quantity, best median first."""
+    rows = [standing(run, metric, observer, quantity.higher_is_better) for observer, metric in quantity.metrics.items()]
+    sign = -1.0 if quantity.higher_is_better else 1.0
+    return sorted(
+        rows,
+        key=lambda row: (math.isnan(row.median), sign * row.median, sign * row.p95),
+    )
+
+
+def scenarios(run: Run) -> dict[str, list[Case]]:
+    """Cases by what was varied but the seed, in the order of the campaign."""
+    grouped: dict[str, list[Case]] = {}
+    for case in run.cases:
+        grouped.setdefault(case.scenario, []).append(case)
+    return grouped
+
+
+def _quantile(costs: np.ndarray, share: float) -> float:
+    if not len(costs):
+        return math.nan
+    if np.isfinite(costs).all():
+        return float(np.quantile(costs, share))
+    return float(np.quantile(costs, share, method="higher"))
+
+
+def _higher_is_better(run: Run, metrics: Any) -> bool:
+    known = definitions(run)
+    texts = [criterion.text for criterion in run.criteria or ()]
+    for metric in metrics:
+        base, _, part = metric.partition(".")
+        if part in BETTER_WHEN_HIGHER or (base in known and known[base].kind in BETTER_WHEN_HIGHER):
+            return True
+        if any(re.match(rf"\s*(\w+\()?\s*{re.escape(metric)}\s*\)?\s*>", text) for text in texts):
+            return True
+    return False
+
+
+def _signals(value: Any) -> list[str]:
+    if isinstance(value, str):
+        return [value] if re.fullmatch(r"[A-Za-z_]\w*\.\S+", value) else []
+    items = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return [name for item in items for name in _signals(item)]
+
+
+def _pairs(value: Any) -> list[tuple[str, str]]:
+    if isinstance(value, Mapping):
+        return [pair for item in value.values() for pair in _pairs(item)]
+    if not isinstance(value, list):
+        return []
+    if len(value) == 2 and all(isinstance(item, str) for item in value):
+        return [(value[0], value[1])] if len(_signals(value)) == 2 else []
+    return [pair for item in value for pair in _pairs(item)]
+
+
+def _seconds(value: Any, otherwise: float) -> float:
+    if isinstance(value, (int, float)):
+        return float(value)
+    try:
+        number, unit = parse_quantity(str(value))
+        return parse_unit(unit).to_si(number)
+    except UnitError:
+        return otherwise
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, list):
+        return "[" + ", ".join(_plain(item) for item in value) + "]"
+    return "" if value is None else str(value)
+
+
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize()

@@ -1,0 +1,201 @@
+"""The figures a campaign declares: which signals of which case, in what unit, colour and panel."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from fmus.units import UnitError, parse_quantity, parse_unit
+from reports.folder import Case, Run, RunFolderError
+from reports.signals import Column, Vector, read_columns, same_dimension
+from reports.standing import definitions, observers
+
+# Okabe and Ito's colours, readable on light and dark and by the colour-blind; the truth is grey.
+COLOURS = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#CC79A7",
+    "#E69F00",
+    "#56B4E9",
+    "#8C6BB1",
+    "#A6761D",
+)
+TRUTH_COLOUR, FAULT_COLOUR = "#808080", "#E69F00"
+DASHES = ("solid", "dash", "dot", "dashdot")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One line of a panel: values of shape (n,) in the panel's unit over time [s]."""
+
+    name: str
+    time: Vector
+    values: Vector
+    unit: str
+    discrete: bool
+    colour: str
+    dash: str
+    is_truth: bool
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Traces that share a vertical axis, and horizontal reference lines as (value, label)."""
+
+    label: str
+    traces: tuple[Trace, ...]
+    lines: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A stretch of time in which a fault is active [s]."""
+
+    label: str
+    since: float
+    until: float
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A declared figure with its data; where it cannot be drawn, `problem` says why and there are no panels."""
+
+    title: str
+    case: Case | None
+    panels: tuple[Panel, ...] = ()
+    windows: tuple[Window, ...] = ()
+    problem: str = ""
+
+
+def declared_figures(run: Run) -> list[Figure]:
+    """Every figure of the campaign's report section, drawn from the first case of its experiment that left a record."""
+    return [_figure(run, entry) for entry in (run.campaign.get("report") or {}).get("figures") or ()]
+
+
+def part_colours(run: Run) -> dict[str, str]:
+    """One colour an observer, the same in every figure."""
+    return {part: COLOURS[index % len(COLOURS)] for index, part in enumerate(observers(run))}
+
+
+def fault_windows(run: Run, case: Case, stop: float) -> tuple[Window, ...]:
+    """When the sensors' faults are active up to `stop` [s], as the campaign declares them and the case's values override them."""
+    windows = []
+    for part, spec in (run.campaign.get("parts") or {}).items():
+        for index, fault in enumerate((spec.get("faults") if isinstance(spec, Mapping) else None) or ()):
+            if not isinstance(fault, Mapping):
+                continue
+            changed = {
+                key.rsplit(".", 1)[1]: text
+                for key, text in case.values.items()
+                if key.startswith(f"{part}.faults.{index}.")
+            }
+            spec_of = {
+                **{key: value for key, value in fault.items() if value is not None},
+                **changed,
+            }
+            since, until = (
+                spec_of.pop("from", spec_of.pop("start", None)),
+                spec_of.pop("to", spec_of.pop("until", None)),
+            )
+            kind = ", ".join(f"{key} {value}" if value is not True else key for key, value in spec_of.items())
+            begin, end = _si(since, "s"), _si(until, "s")
+            if begin is not None and begin < stop:
+                windows.append(
+                    Window(
+                        f"{part}: {kind}",
+                        begin,
+                        stop if end is None else min(end, stop),
+                    )
+                )
+    return tuple(windows)
+
+
+def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
+    title, experiment = str(entry.get("title") or "Signals"), entry.get("experiment")
+    cases = [case for case in run.cases if experiment in (None, case.experiment)]
+    case = next(
+        (case for case in cases if (run.path / "cases" / case.key / "signals.parquet").is_file()),
+        None,
+    )
+    if case is None:
+        return Figure(
+            title,
+            None,
+            problem=f"no case of {experiment or 'the campaign'} left a record ({len(cases)} declared)",
+        )
+    groups = [[group] if isinstance(group, str) else list(group) for group in entry.get("traces") or ()]
+    try:
+        columns = read_columns(run, case, [name for group in groups for name in group])
+    except (KeyError, RunFolderError) as error:
+        return Figure(title, case, problem=str(error.args[0]))
+    unit = str(entry.get("unit") or "")
+    panels = [_panel(run, group, columns.time, columns.signals, entry.get("lines") or {}, unit) for group in groups]
+    return Figure(title, case, tuple(panels), fault_windows(run, case, float(columns.time[-1])))
+
+
+def _panel(
+    run: Run,
+    names: Sequence[str],
+    time: Vector,
+    signals: Mapping[str, Column],
+    lines: Mapping[str, str],
+    unit: str,
+) -> Panel:
+    truths = {definition.signals[0] for definition in definitions(run).values() if len(definition.signals) > 1}
+    colours = part_colours(run)
+    spare = [colour for colour in COLOURS if colour not in colours.values()] or list(COLOURS)
+    traces: list[Trace] = []
+    drawn: dict[str, int] = {}
+    for name in names:
+        part, column = name.split(".")[0], signals[name]
+        is_truth = name in truths and part not in colours
+        colour = TRUTH_COLOUR if is_truth else colours.get(part) or spare[len(traces) % len(spare)]
+        dash = DASHES[drawn.get(colour, 0) % len(DASHES)]
+        drawn[colour] = drawn.get(colour, 0) + 1
+        shown = column.shown_in(unit)
+        traces.append(
+            Trace(
+                name,
+                time,
+                column.shown(unit),
+                shown,
+                column.discrete,
+                colour,
+                dash,
+                is_truth,
+            )
+        )
+    units = list(dict.fromkeys(trace.unit for trace in traces))
+    common = _common([trace.name for trace in traces])
+    label = f"{common} [{', '.join(units)}]" if units != ["1"] else common
+    at = [(_si(text, units[0]), str(meaning)) for text, meaning in lines.items() if _fits(text, units[0])]
+    scale = parse_unit(units[0]) if at else None
+    return Panel(
+        label,
+        tuple(traces),
+        tuple((scale.from_si(value), meaning) for value, meaning in at if scale and value is not None),
+    )
+
+
+def _common(names: Sequence[str]) -> str:
+    short = list(dict.fromkeys(name.split(".", 1)[-1] for name in names))
+    return short[0] if len(short) == 1 else ", ".join(short) if len(", ".join(short)) <= 28 else ""
+
+
+def _fits(text: str, unit: str) -> bool:
+    try:
+        return same_dimension(parse_quantity(str(text))[1] or "1", unit)
+    except UnitError:
+        return False
+
+
+def _si(raw: Any, unit: str) -> float | None:
+    if raw is None:
+        return None
+    try:
+        number, written = parse_quantity(str(raw))
+        return parse_unit(written or unit).to_si(number)
+    except UnitError:
+        return None
