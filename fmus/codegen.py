@@ -61,7 +61,7 @@ def _traced_code(functions: Sequence[ca.Function]) -> str:
     bodies = re.findall(r"/\* traced_\w+:.*?^}$", code, re.S | re.M)
     names = re.findall(r"CASADI_SYMBOL_EXPORT int (traced_\w+)\(const casadi_real\*\* arg[^{]*\{\s*return (\w+)\(", code)
     constants = re.findall(r"^(?:static const casadi_real \w+\[.*?;|#define casadi_[cf]\d+ .*)$", code, re.M)
-    helpers = re.findall(r"^(?:static )?casadi_real casadi_\w+\(.*?^}$|^casadi_real casadi_\w+\(.*\}$", code, re.S | re.M)
+    helpers = re.findall(r"^(?:static )?casadi_real casadi_\w+\([^\n]*(?:\}|\{\n.*?^\})$", code, re.S | re.M)
     if len(bodies) != len(functions) or len(names) != len(functions):
         raise ModelError("CasADi's generated code has a shape this version does not know")
     parts = [

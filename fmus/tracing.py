@@ -63,7 +63,7 @@ def _sx(value: Any) -> Any:
         return ca.SX(float(value))
     try:
         return ca.SX(float(value))
-    except TypeError:
+    except (TypeError, ValueError):
         raise ModelError(f"wants a number or a symbol, got {value!r}") from None
 
 
@@ -275,5 +275,5 @@ def _traced(model: Model, what: str, function: Callable[..., Any], arguments: tu
         return function(*arguments)
     except ModelError as error:
         raise ModelError(f"{model.name}.{what}: {error}") from error
-    except TypeError as error:
+    except (TypeError, ValueError, np.linalg.LinAlgError) as error:
         raise ModelError(f"{model.name}.{what} cannot be traced: {error}") from error

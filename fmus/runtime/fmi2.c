@@ -206,7 +206,7 @@ FMI_EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info
     }
     if (NZ) {
         int settled = settle(&instance->s);
-        if (settled < 0) return fail(instance, "the events at t = %.17g s never settle", instance->s.v[0]);
+        if (settled < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", instance->s.v[0]);
         changed |= settled;
     }
     info->newDiscreteStatesNeeded = 0;

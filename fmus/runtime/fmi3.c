@@ -303,7 +303,7 @@ FMI_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need
     }
     if (NZ) {
         int settled = settle(&instance->s);
-        if (settled < 0) return fail(instance, "the events at t = %.17g s never settle", instance->s.v[0]);
+        if (settled < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", instance->s.v[0]);
         changed |= settled;
     }
     if (instance->s.event_pending) instance->s.next_step = 0;

@@ -234,7 +234,7 @@ static int integrate(Instance *instance, double end) {
                 instance->s.event_pending = 1;
                 return OK;
             }
-            if (settle(s) < 0) return fail(instance, "the events at t = %.17g s never settle", s->v[0]);
+            if (settle(s) < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", s->v[0]);
             s->next_step = 0;
             if (++events > MAX_EVENTS)
                 return fail(instance, "chattering: more than %d events in one communication step, at t = %.17g s",
@@ -256,7 +256,7 @@ static int advance(Instance *instance, double t, double h) {
         if (integrate(instance, due && next < end ? fmax(next, s->v[0]) : end)) return ERROR;
         if (instance->s.event_pending || !due) break;
         take_sample(s);
-        if (NZ && settle(s) < 0) return fail(instance, "the events at t = %.17g s never settle", s->v[0]);
+        if (NZ && settle(s) < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", s->v[0]);
     }
     s->stale |= STALE_DX | STALE_Y | STALE_Z;
     instance->last_successful_time = s->v[0];
