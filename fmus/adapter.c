@@ -50,26 +50,27 @@ typedef struct {
 typedef struct {
     Function access;
     const uint32_t *references;
-    size_t n_references;
+    size_t n_references, n_values;
+    size_t first;  /* place on the bus of the first value */
+    int straight;  /* the values lie in a row on the bus as the FMU has them: nothing of what follows is used */
+    int type;
     const size_t *positions; /* of each value on the bus */
-    size_t n_values;
     const Conversion *conversions;
     size_t n_conversions;
-    double *scratch; /* NULL: the values lie in a row on the bus from positions[0] and need no copy */
+    double *scratch; /* NULL: the values lie in a row on the bus, and are converted there */
     void *buffer;    /* NULL: the FMU's type is double */
-    int type;
 } Block;
 
 typedef struct {
     void *instance;
-    Function do_step, real_status, boolean_status; /* the last two are FMI 2's */
-    const Block *inputs;
-    size_t n_inputs;
-    const Block *outputs;
-    size_t n_outputs;
+    int failed; /* OK while the instance may be stepped, else the status that ended it: no call is made any more */
+    int stage;  /* what was being done when the last status above WARNING came */
+    const Block *inputs, *inputs_end; /* set before each step */
+    Function do_step;
+    const Block *outputs, *outputs_end; /* got after it */
     Log *log;
-    int failed;     /* the status that ended the instance, ERROR or FATAL: no call is made any more */
-    int stage;      /* what was being done when the last status above WARNING came */
+    const Block *held, *held_end; /* inputs set at the start only */
+    Function real_status, boolean_status; /* FMI 2's */
     int terminated; /* after a discard: the FMU asked to end the simulation */
     double last_successful_time;
 } Slave;
@@ -223,67 +224,75 @@ static inline int access_values(int version, const Block *block, void *instance,
     return ((Access3)block->access)(instance, block->references, block->n_references, values, block->n_values);
 }
 
-/* A status that the standard does not know, and FMI 2's pending, which nobody here waits for, are errors. */
-static inline int known(int status)
-{
-    return status < OK || status > FATAL ? ERROR : status;
-}
-
+/* Ends a step in a status above WARNING. One that the standard does not know, and FMI 2's pending, which nobody here
+ * waits for, are errors. */
 static int ended(Slave *slave, int status, int stage)
 {
+    if (status < OK || status > FATAL)
+        status = ERROR;
     slave->stage = stage;
     if (status >= ERROR)
         slave->failed = status;
     return status;
 }
 
-static inline int write_blocks(int version, Slave *slave, const double *u)
+static inline bool fine(int status)
 {
-    int worst = OK;
-    for (size_t b = 0; b < slave->n_inputs; b++) {
-        const Block *block = &slave->inputs[b];
-        void *values = (void *)(u + block->positions[0]);
-        if (block->scratch) {
-            for (size_t i = 0; i < block->n_values; i++)
-                block->scratch[i] = u[block->positions[i]];
-            for (size_t c = 0; c < block->n_conversions; c++) {
-                const Conversion *conversion = &block->conversions[c];
-                double *value = &block->scratch[conversion->index];
-                *value = (*value - conversion->offset) / conversion->factor;
-            }
-            values = block->scratch;
-            if (block->buffer) {
-                narrow(block->type, block->scratch, block->buffer, block->n_values);
-                values = block->buffer;
-            }
-        }
-        int status = known(access_values(version, block, slave->instance, values));
-        if (status > WARNING)
-            return ended(slave, status, SETTING);
-        worst = status > worst ? status : worst;
+    return (unsigned)status <= WARNING;
+}
+
+static void *converted_inputs(const Block *block, const double *u)
+{
+    for (size_t i = 0; i < block->n_values; i++)
+        block->scratch[i] = u[block->positions[i]];
+    for (size_t c = 0; c < block->n_conversions; c++) {
+        const Conversion *conversion = &block->conversions[c];
+        double *value = &block->scratch[conversion->index];
+        *value = (*value - conversion->offset) / conversion->factor;
     }
-    return worst;
+    if (!block->buffer)
+        return block->scratch;
+    narrow(block->type, block->scratch, block->buffer, block->n_values);
+    return block->buffer;
+}
+
+static inline int write_blocks(int version, Slave *slave, const Block *block, const Block *end, const double *u)
+{
+    int all = OK;
+    for (; block < end; block++) {
+        void *values = block->straight ? (void *)(u + block->first) : converted_inputs(block, u);
+        int status = access_values(version, block, slave->instance, values);
+        if (!fine(status))
+            return ended(slave, status, SETTING);
+        all |= status;
+    }
+    return all;
+}
+
+static void convert_outputs(const Block *block, const void *values, double *y)
+{
+    if (block->scratch)
+        widen(block->type, values, y, block->positions, block->n_values);
+    for (size_t c = 0; c < block->n_conversions; c++) {
+        const Conversion *conversion = &block->conversions[c];
+        double *value = &y[block->positions[conversion->index]];
+        *value = conversion->factor * *value + conversion->offset;
+    }
 }
 
 static inline int read_blocks(int version, Slave *slave, double *y)
 {
-    int worst = OK;
-    for (size_t b = 0; b < slave->n_outputs; b++) {
-        const Block *block = &slave->outputs[b];
-        void *values = block->buffer ? block->buffer : block->scratch ? block->scratch : y + block->positions[0];
-        int status = known(access_values(version, block, slave->instance, values));
-        if (status > WARNING)
+    int all = OK;
+    for (const Block *block = slave->outputs, *end = slave->outputs_end; block < end; block++) {
+        void *values = block->buffer ? block->buffer : block->scratch ? block->scratch : y + block->first;
+        int status = access_values(version, block, slave->instance, values);
+        if (!fine(status))
             return ended(slave, status, GETTING);
-        if (block->scratch)
-            widen(block->type, values, y, block->positions, block->n_values);
-        for (size_t c = 0; c < block->n_conversions; c++) {
-            const Conversion *conversion = &block->conversions[c];
-            double *value = &y[block->positions[conversion->index]];
-            *value = conversion->factor * *value + conversion->offset;
-        }
-        worst = status > worst ? status : worst;
+        if (!block->straight)
+            convert_outputs(block, values, y);
+        all |= status;
     }
-    return worst;
+    return all;
 }
 
 /* ---- one step ---- */
@@ -292,23 +301,23 @@ static int discarded2(Slave *slave)
 {
     int terminated = 0;
     double time = NAN;
-    int status = known(((Status2)slave->boolean_status)(slave->instance, TERMINATED, &terminated));
-    if (status >= ERROR)
+    int status = ((Status2)slave->boolean_status)(slave->instance, TERMINATED, &terminated);
+    if (!fine(status) && status != DISCARD)
         return ended(slave, status, STEPPING);
-    slave->terminated = status <= WARNING && terminated;
-    status = known(((Status2)slave->real_status)(slave->instance, LAST_SUCCESSFUL_TIME, &time));
-    if (status >= ERROR)
+    slave->terminated = fine(status) && terminated;
+    status = ((Status2)slave->real_status)(slave->instance, LAST_SUCCESSFUL_TIME, &time);
+    if (!fine(status) && status != DISCARD)
         return ended(slave, status, STEPPING);
-    slave->last_successful_time = status <= WARNING ? time : NAN;
+    slave->last_successful_time = fine(status) ? time : NAN;
     return ended(slave, DISCARD, STEPPING);
 }
 
 static inline int do_step2(Slave *slave, double t, double h)
 {
-    int status = known(((DoStep2)slave->do_step)(slave->instance, t, h, 1));
-    if (status == DISCARD)
-        return discarded2(slave);
-    return status > WARNING ? ended(slave, status, STEPPING) : status;
+    int status = ((DoStep2)slave->do_step)(slave->instance, t, h, 1);
+    if (fine(status))
+        return status;
+    return status == DISCARD ? discarded2(slave) : ended(slave, status, STEPPING);
 }
 
 /* Without event mode and early return an FMU that stops short of t + h or asks to end has not made the step. */
@@ -316,29 +325,26 @@ static inline int do_step3(Slave *slave, double t, double h)
 {
     bool event = false, terminate = false, early = false;
     double reached = t + h;
-    int status = known(((DoStep3)slave->do_step)(slave->instance, t, h, true, &event, &terminate, &early, &reached));
-    if (status <= WARNING && !terminate && !early)
+    int status = ((DoStep3)slave->do_step)(slave->instance, t, h, true, &event, &terminate, &early, &reached);
+    if (fine(status) && !terminate && !early)
         return status;
     slave->terminated = terminate;
-    slave->last_successful_time = status == DISCARD ? t : reached;
-    return ended(slave, status < DISCARD ? DISCARD : status, STEPPING);
+    slave->last_successful_time = fine(status) ? reached : t;
+    return ended(slave, fine(status) ? DISCARD : status, STEPPING);
 }
 
 static inline int advance(int version, Slave *slave, double t, double h, const double *u, double *y)
 {
-    if (slave->failed || !slave->instance)
-        return slave->failed ? slave->failed : ERROR;
+    if (slave->failed)
+        return slave->failed;
     slave->log->time = t;
-    int written = write_blocks(version, slave, u);
+    int written = write_blocks(version, slave, slave->inputs, slave->inputs_end, u);
     if (written > WARNING)
         return written;
     int stepped = version == 2 ? do_step2(slave, t, h) : do_step3(slave, t, h);
     if (stepped > WARNING)
         return stepped;
-    int read = read_blocks(version, slave, y);
-    if (read > WARNING)
-        return read;
-    return written | stepped | read; /* each is OK or WARNING */
+    return written | stepped | read_blocks(version, slave, y);
 }
 
 EXPORT int fmi2_step(void *slave, double t, double h, const double *u, double *y)
@@ -351,14 +357,21 @@ EXPORT int fmi3_step(void *slave, double t, double h, const double *u, double *y
     return advance(3, slave, t, h, u, y);
 }
 
+/* While initialising: set all inputs, also those that steps hold. */
+static inline int initialise(int version, Slave *slave, const double *u)
+{
+    int status = write_blocks(version, slave, slave->held, slave->held_end, u);
+    return status > WARNING ? status : status | write_blocks(version, slave, slave->inputs, slave->inputs_end, u);
+}
+
 EXPORT int fmi2_write(void *slave, const double *u)
 {
-    return write_blocks(2, slave, u);
+    return initialise(2, slave, u);
 }
 
 EXPORT int fmi3_write(void *slave, const double *u)
 {
-    return write_blocks(3, slave, u);
+    return initialise(3, slave, u);
 }
 
 EXPORT int fmi2_read(void *slave, double *y)

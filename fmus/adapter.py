@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
-from ctypes import POINTER, addressof, c_char, c_double, c_int, c_size_t, c_uint32, c_void_p, cast
+from collections.abc import Callable, Container, Mapping, Sequence
+from ctypes import POINTER, addressof, c_char, c_double, c_int, c_size_t, c_uint32, c_void_p, cast, sizeof
 from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from fmus.component import OK, Native
+from fmus.component import ERROR, Native
 from fmus.toolchain import compile_shared
 from fmus.variable import Variable
 
@@ -52,6 +52,10 @@ PASSAGES: Mapping[int, Mapping[str, Passage]] = {
 }
 
 
+# A variable and the place of its first scalar on the bus.
+Place = tuple[Variable, int]
+
+
 class Message(NamedTuple):
     """One message of an FMU: the communication point it came at [s], its FMI status, its category and text."""
 
@@ -78,29 +82,33 @@ class _Block(ctypes.Structure):
         ("access", c_void_p),
         ("references", c_void_p),
         ("n_references", c_size_t),
-        ("positions", c_void_p),
         ("n_values", c_size_t),
+        ("first", c_size_t),
+        ("straight", c_int),
+        ("type", c_int),
+        ("positions", c_void_p),
         ("conversions", c_void_p),
         ("n_conversions", c_size_t),
         ("scratch", c_void_p),
         ("buffer", c_void_p),
-        ("type", c_int),
     )
 
 
 class _Table(ctypes.Structure):
     _fields_ = (
         ("instance", c_void_p),
-        ("do_step", c_void_p),
-        ("real_status", c_void_p),
-        ("boolean_status", c_void_p),
-        ("inputs", POINTER(_Block)),
-        ("n_inputs", c_size_t),
-        ("outputs", POINTER(_Block)),
-        ("n_outputs", c_size_t),
-        ("log", POINTER(_Log)),
         ("failed", c_int),
         ("stage", c_int),
+        ("inputs", c_void_p),
+        ("inputs_end", c_void_p),
+        ("do_step", c_void_p),
+        ("outputs", c_void_p),
+        ("outputs_end", c_void_p),
+        ("log", POINTER(_Log)),
+        ("held", c_void_p),
+        ("held_end", c_void_p),
+        ("real_status", c_void_p),
+        ("boolean_status", c_void_p),
         ("terminated", c_int),
         ("last_successful_time", c_double),
     )
@@ -135,7 +143,7 @@ class Adapter:
     def __init__(self, version: int, function: Callable[[str], int]) -> None:
         self._version, self._function = version, function
         self._log = _Log()
-        self._table = _Table(log=ctypes.pointer(self._log), do_step=function("DoStep"))
+        self._table = _Table(log=ctypes.pointer(self._log), do_step=function("DoStep"), failed=ERROR)
         if version == 2:
             self._table.real_status, self._table.boolean_status = (
                 function("GetRealStatus"),
@@ -157,20 +165,23 @@ class Adapter:
         """The instance, how it ended and where: fields of the struct Slave in adapter.c."""
         return self._table
 
-    def carry(self, inputs: Sequence[Variable]) -> None:
-        """Let each step set these variables from the bus, in this order; an array takes a place for each scalar."""
-        blocks = self._blocks(inputs, "Set")
-        self._table.inputs, self._table.n_inputs = blocks, len(blocks)
+    def carry(self, inputs: Sequence[Variable], held: Container[str] = ()) -> None:
+        """Let each step set these variables from the bus, in this order; those named in `held` at the start only.
+
+        An array takes a place for each scalar.
+        """
+        places = _places(inputs)
+        self._enter("inputs", "Set", [place for place in places if place[0].name not in held])
+        self._enter("held", "Set", [place for place in places if place[0].name in held])
 
     def fetch(self, outputs: Sequence[Variable]) -> None:
         """Let each step get these variables to the bus, in this order, and no others."""
-        blocks = self._blocks(outputs, "Get")
-        self._table.outputs, self._table.n_outputs = blocks, len(blocks)
+        self._enter("outputs", "Get", _places(outputs))
 
     def renew(self, t0: float) -> None:
-        """Forget how the last instance ended and what it said."""
+        """Forget what the last instance said and where it stopped."""
         self._log.count, self._log.time = 0, t0
-        self._table.failed, self._table.terminated, self._table.last_successful_time = OK, 0, math.nan
+        self._table.terminated, self._table.last_successful_time = 0, math.nan
 
     def log(self) -> list[Message]:
         """The messages since the last start, oldest first: all, or the first 64 and the last 192."""
@@ -186,19 +197,21 @@ class Adapter:
         """How many messages since the last start are not in the log."""
         return max(0, int(self._log.count) - _LOG_FIRST - _LOG_LAST)
 
-    def _blocks(self, variables: Sequence[Variable], access: str) -> Any:
+    def _enter(self, name: str, access: str, places: Sequence[Place]) -> None:
         """One block for each way of passing among the variables, in the order in which they first come."""
-        groups: dict[Passage, list[tuple[Variable, int]]] = {}
-        position = 0
-        for variable in variables:
-            groups.setdefault(PASSAGES[self._version][variable.type], []).append((variable, position))
-            position += variable.size
-        self._memory[access] = []
-        return (_Block * len(groups))(*(self._block(group, access, passage) for passage, group in groups.items()))
+        groups: dict[Passage, list[Place]] = {}
+        for place in places:
+            groups.setdefault(PASSAGES[self._version][place[0].type], []).append(place)
+        memory: list[Any] = []
+        made = [self._block(group, access, passage, memory) for passage, group in groups.items()]
+        blocks = (_Block * len(made))(*made)
+        memory.append(blocks)
+        self._memory[name] = memory
+        begin = addressof(blocks)
+        setattr(self._table, name, begin)
+        setattr(self._table, f"{name}_end", begin + sizeof(blocks))
 
-    def _block(self, group: list[tuple[Variable, int]], access: str, passage: Passage) -> _Block:
-        memory = self._memory[access]
-
+    def _block(self, group: list[Place], access: str, passage: Passage, memory: list[Any]) -> _Block:
         def hold(array: Any) -> int:
             memory.append(array)
             return addressof(array)
@@ -212,17 +225,29 @@ class Adapter:
         ]
         n = len(positions)
         double = passage.c_type is c_double
-        in_a_row = positions == list(range(positions[0], positions[0] + n)) if positions else False
-        straight = double and in_a_row and not (conversions and access == "Set")
+        in_place = double and positions == list(range(positions[0], positions[0] + n))
+        if access == "Set" and conversions:
+            in_place = False
         return _Block(
             access=self._function(access + passage.function),
             references=hold((c_uint32 * len(group))(*(variable.reference for variable, _ in group))),
             n_references=len(group),
-            positions=hold((c_size_t * n)(*positions)),
             n_values=n,
+            first=positions[0],
+            straight=in_place and not conversions,
+            type=passage.number,
+            positions=hold((c_size_t * n)(*positions)),
             conversions=hold((_Conversion * len(conversions))(*conversions)),
             n_conversions=len(conversions),
-            scratch=None if straight else hold((c_double * n)()),
+            scratch=None if in_place else hold((c_double * n)()),
             buffer=None if double else hold((passage.c_type * n)()),
-            type=passage.number,
         )
+
+
+def _places(variables: Sequence[Variable]) -> list[Place]:
+    places, position = [], 0
+    for variable in variables:
+        if variable.size:
+            places.append((variable, position))
+        position += variable.size
+    return places

@@ -95,6 +95,21 @@ class FmuComponent:
         self._y = np.zeros(len(self.outputs))
         self._y_address = self._y.ctypes.data
 
+    def hold_inputs(self, names: Iterable[str]) -> None:
+        """Let these inputs be set at `start` only: no step passes them again, whatever then stands on the bus.
+
+        For inputs where nothing is wired. To be called between runs; an array is held when all its scalars are named.
+
+        Raises ConfigurationError: there is no such input.
+        """
+        wanted, known = set(names), [signal.name for signal in self.inputs]
+        lacking = [Problem(unknown(name, known, f"input of {self.name}")) for name in sorted(wanted.difference(known))]
+        if lacking:
+            raise ConfigurationError(lacking)
+        self._slave.free()
+        held = {variable.name for variable in self._input_variables if wanted.issuperset(variable.scalar_names())}
+        self._slave.adapter.carry(self._input_variables, held)
+
     def start(self, t0: float, u: Vector) -> Vector:
         """A fresh instance, initialised at t0 [s] with inputs u: the initial outputs, shape (n_outputs,), SI units.
 

@@ -52,6 +52,7 @@ class Slave:
         if self._library in _CORRUPT:
             raise self._error("an instance of this FMU reported fatal: nothing of it may be called again", t0, FATAL)
         self._instantiate(t0)
+        adapter.table.failed = OK
         self._switch_messages_on(t0)
         if self._version == 2:
             self._call(t0, "SetupExperiment", 0, 0.0, t0, 0, 0.0)
@@ -89,6 +90,7 @@ class Slave:
             _CORRUPT.add(self._library)
         else:
             self._status("FreeInstance", instance)
+        table.failed = ERROR
         self._running = False
 
     def unload(self) -> None:
