@@ -96,6 +96,7 @@ class Campaign:
     cases: tuple[Case, ...]
     metrics: Mapping[str, Definition]
     criteria: tuple[Criterion, ...]
+    report: ReportSection
     case_limit: float
 
 
@@ -125,6 +126,7 @@ def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
         cases=tuple(cases),
         metrics=checked.metrics,
         criteria=tuple(criteria),
+        report=checked.report,
         case_limit=checked.limits.case.si("s"),
     )
 

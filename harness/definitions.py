@@ -74,7 +74,9 @@ else:
         name: (kind.arguments | None, Field(None, description=(kind.function.__doc__ or "").split("\n")[0]))
         for name, kind in KINDS.items()
     }
-    Definition = create_model("Definition", __base__=Options, __doc__="One metric.", **_KIND_FIELDS)
+    Definition = create_model(
+        "Definition", __base__=Options, __doc__="One metric.", __module__=__name__, **_KIND_FIELDS
+    )
 
 
 def value_name(metric: str, suffix: str) -> str:
@@ -89,6 +91,12 @@ def results(definitions: Mapping[str, Definition]) -> dict[str, tuple[str, Resul
         for metric, definition in definitions.items()
         for suffix, result in definition.kind.results.items()
     }
+
+
+def value_part(definitions: Mapping[str, Definition], value: str) -> str:
+    """The part that a value speaks of: that of the estimate where there is one, else of the signal."""
+    names = definitions[results(definitions)[value][0]].arguments.names()
+    return names[min(1, len(names) - 1)].partition(".")[0]
 
 
 def shown_unit(definition: Definition, result: Result, signals: Mapping[str, Signal]) -> str:

@@ -6,6 +6,7 @@ import ast
 import hashlib
 import importlib.util
 import json
+import re
 from collections.abc import Iterable
 from functools import cache
 from importlib.metadata import version
@@ -16,6 +17,7 @@ from harness.scenario import ModelPart, Scenario
 ROOT = Path(__file__).resolve().parent.parent
 # Modules that every case passes through, besides its parts' own; C sources of these packages go along.
 COMMON = ("harness.run", "harness.wiring", "harness.record", "fmus.export", "fmus.fmu")
+_MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+$")
 NATIVE_FOLDERS = ("fmus", "harness")
 
 
@@ -28,20 +30,26 @@ def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
     content = {
         "scenario": scenario.model_dump(mode="json", by_alias=True),
         "experiment": experiment,
-        "parts": {
-            name: _content(part.use, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)
-        },
+        "parts": {name: _content(part, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)},
         "common": _sources_digest(COMMON),
         "version": version("crankbench"),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _content(use: str, folder: Path) -> str:
-    if use.endswith(".fmu"):
-        path = folder / use
+def _content(part: ModelPart, folder: Path) -> str:
+    if part.use.endswith(".fmu"):
+        path = folder / part.use
         return _file_digest(path, path.stat().st_mtime_ns) if path.is_file() else "missing"
-    return _sources_digest((use.partition(":")[0],))
+    modules = [part.use.partition(":")[0], *filter(_source, _names_in(part.settings))]
+    return _sources_digest(tuple(modules))
+
+
+def _names_in(settings: object) -> list[str]:
+    """The texts in a part's settings that read like a module's name: an observer may be made from its plant."""
+    if isinstance(settings, dict):
+        return [name for value in settings.values() for name in _names_in(value)]
+    return [settings] if isinstance(settings, str) and _MODULE.match(settings) else []
 
 
 @cache

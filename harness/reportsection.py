@@ -15,7 +15,6 @@ class ReportedObserver(Strict):
     """How the report calls an observer, and the metrics that are its own."""
 
     title: str = ""
-    description: str = ""
     metrics: list[str] = Field(default_factory=list)
 
 
@@ -23,9 +22,7 @@ class Figure(Strict):
     """Signals over time, one panel a list of signals."""
 
     title: str
-    description: str = ""
-    experiment: str | None = None
-    case: str | None = Field(None, description="label of the case drawn; the experiment's first where absent")
+    experiment: str | None = Field(None, description="its first case is drawn; the campaign's first where absent")
     traces: list[list[str]] = Field(min_length=1, description="one list of signals a panel")
     lines: dict[str, str] = Field(default_factory=dict, description="value with unit: name of a horizontal line")
     unit: str | None = None

@@ -1,0 +1,201 @@
+"""The command line: `crankbench`, the same as `python -m harness`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import asdict
+from importlib.metadata import entry_points, version
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fmus.component import ConfigurationError
+from fmus.fmu import describe
+from harness.building import build_model
+from harness.campaign import CampaignFile, built_in_campaigns, describe_campaign, find_campaign, read_campaign
+from harness.cases import Result, execute
+from harness.doctor import examine
+from harness.progress import progress
+from harness.runfolder import plain
+
+# FAILED is a case or a criterion, MISUSED usage or configuration.
+FINE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
+
+app = typer.Typer(
+    help="Test observers against plants that are FMUs.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def main() -> None:
+    """Run the command line and exit with # FAILED is a case or a criterion, MISUSED usage or configuration.
+FINE, FAILED, MISUSED or INTERRUPTED."""
+    try:
+        app()
+    except ConfigurationError as error:
+        for problem in error.problems:
+            print(problem, file=sys.stderr)
+        sys.exit(MISUSED)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    show_version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    if show_version:
+        print(version("crankbench"))
+        raise typer.Exit(FINE)
+
+
+@app.command()
+def campaigns(as_json: Json = False) -> None:
+    """List the built-in campaigns, with a line on each."""
+    found = {name: describe_campaign(file) for name, file in built_in_campaigns().items()}
+    if as_json:
+        _print_json([{"name": name, "description": text} for name, text in found.items()])
+        return
+    for name, text in found.items():
+        print(f"{name:<{max(map(len, found))}}  {text}".rstrip())
+
+
+@app.command()
+def run(
+    campaign: Annotated[str, typer.Argument(help="A campaign file, or the name of a built-in campaign.")],
+    out: Annotated[Path | None, typer.Option(help="Run folder; runs/NAME where not given.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Cases at a time.")] = os.cpu_count() or 1,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Run finished cases again.")] = False,
+    override: Annotated[
+        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value of the campaign.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run a campaign, or what is left of it, and write its report."""
+    asked = read_campaign(find_campaign(campaign), override or [])
+    folder = out if out is not None else Path("runs") / asked.name
+    if folder.exists() and not folder.is_dir():
+        raise ConfigurationError(f"--out wants a folder, got the file {folder}")
+    try:
+        with progress(sys.stderr if as_json else sys.stdout) as tell:
+            result = execute(asked, folder, jobs, tell, "run again" if fresh else "kept")
+    except KeyboardInterrupt:
+        print(f"interrupted; what was finished is kept in {folder}", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
+    reports = write_reports(folder)
+    if as_json:
+        content = {"folder": folder, "reports": reports, "accepted": result.accepted, "outcomes": result.outcomes}
+        _print_json({**content, "criteria": [asdict(verdict) for verdict in result.verdicts]})
+    else:
+        _print_result(result)
+        print(*reports, sep="\n")
+    raise typer.Exit(FINE if result.accepted else FAILED)
+
+
+@app.command()
+def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run folder.")]) -> None:
+    """Write the report of a run folder again, from its records."""
+    if not (folder / "campaign.json").is_file():
+        raise ConfigurationError(f"{folder} is no run folder: it holds no campaign.json")
+    print(*write_reports(folder), sep="\n")
+
+
+@app.command()
+def build(
+    model: Annotated[str, typer.Argument(help="A plant's name like driveline, or module or module:name.")],
+    out: Annotated[Path, typer.Option(help="The .fmu file to write.")],
+    fmi: Annotated[int, typer.Option(min=2, max=3, help="FMI version: 2 or 3.")] = 2,
+    platforms: Annotated[str, typer.Option(help="native, all, or names with commas.")] = "native",
+    parameter_set: Annotated[str | None, typer.Option("--set", help="A named parameter set of the model.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--with", metavar="NAME=VALUE", help="A start value, like k='1500 N.m/rad'.")
+    ] = None,
+) -> None:
+    """Export a plant or an observer as an FMU."""
+    print(build_model(model, out, fmi, platforms.split(","), parameter_set, settings or []))
+
+
+@app.command()
+def inspect(fmu: Annotated[Path, typer.Argument(help="An FMU file.")], as_json: Json = False) -> None:
+    """Show what an FMU is, its variables, units and capabilities, and what would stand in the way."""
+    if not fmu.is_file():
+        raise ConfigurationError(f"no FMU file '{fmu}'")
+    found = describe(fmu)
+    if as_json:
+        _print_json(found.to_json())
+        return
+    content = found.to_json()
+    for key in ("model_name", "fmi_version", "kinds", "tool", "platforms", "sha256"):
+        print(f"{key.replace('_', ' '):<12} {_words(content.get(key))}")
+    print("capabilities " + _words([f"{name}={value}" for name, value in content["capabilities"].items()]))
+    columns = ("name", "causality", "variability", "type", "unit", "start")
+    _print_table(columns, [[_words(variable.get(column)) for column in columns] for variable in content["variables"]])
+    for caution in content.get("cautions", ()):
+        print(f"caution: {caution}")
+    print("runnable" if content["runnable"] else "not runnable: " + "; ".join(content["reasons"]))
+
+
+@app.command()
+def doctor(as_json: Json = False) -> None:
+    """Show the compiler, versions and cache, and what is missing."""
+    findings = examine()
+    if as_json:
+        _print_json(findings)
+    else:
+        for name, value in findings.items():
+            print(f"{name:<12} {_words(value)}")
+    if findings["problems"]:
+        raise typer.Exit(MISUSED)
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of campaign files, for editors."""
+    print(schema_text(), end="")
+
+
+def schema_text() -> str:
+    """The JSON Schema of campaign files, as docs/campaign.schema.json has it."""
+    generated = CampaignFile.model_json_schema(by_alias=True)
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "crankbench campaign"}
+    return json.dumps({**generated, **head}, indent=2, ensure_ascii=False) + "\n"
+
+
+def write_reports(folder: Path) -> list[Path]:
+    """The reports that the entry points in group `crankbench.report` write about a run folder."""
+    return [entry.load()(folder) for entry in entry_points(group="crankbench.report")]
+
+
+def _print_result(result: Result) -> None:
+    failed = {label: ended for label, ended in result.outcomes.items() if ended not in ("ok", "warning")}
+    print(f"{len(result.outcomes) - len(failed)} of {len(result.outcomes)} cases ran to their end")
+    for verdict in result.verdicts:
+        name = f"{verdict.experiment}: {verdict.text}" if verdict.experiment else verdict.text
+        print(f"{'pass' if verdict.passed else 'FAIL'}  {name}" + (f"  ({verdict.reason})" if verdict.reason else ""))
+
+
+def _print_table(head: tuple[str, ...], rows: list[list[str]]) -> None:
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    for row in (head, *rows):
+        print("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _print_json(content: Any) -> None:
+    print(json.dumps(plain(content), indent=1, ensure_ascii=False))
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_words(item)}" for name, item in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_words(item) for item in value)
+    return "" if value is None else str(value)

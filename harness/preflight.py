@@ -1,0 +1,81 @@
+"""Wires the first case of each experiment, so that what is wrong with a campaign is said before anything is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from fmus.component import ConfigurationError, Problem, Signal
+from harness.campaign import Campaign, Case, place_at
+from harness.criteria import bound_misfit
+from harness.definitions import misfits, results, shown_unit
+from harness.validation import nearest_hint
+from harness.wiring import wire
+
+
+@dataclass(frozen=True)
+class Readiness:
+    """What is known of a campaign once it is wired: the units that its metrics' values are shown in."""
+
+    units: Mapping[str, str]
+
+
+def preflight(campaign: Campaign) -> Readiness:
+    """Wire the first case of each experiment and check metrics, criteria and figures against its signals.
+
+    Raises ConfigurationError: every problem of every experiment, each once.
+    """
+    problems: list[Problem] = []
+    units: dict[str, str] = {}
+    signals: dict[str, Mapping[str, Signal]] = {}
+    for experiment, case in first_cases(campaign).items():
+        try:
+            with wire(case.scenario, case.places) as system:
+                recorded = [system.bus[place] for place in system.recorded]
+        except ConfigurationError as error:
+            problems += error.problems
+            continue
+        signals[experiment] = {signal.name: signal for signal in recorded}
+        for name, definition in campaign.metrics.items():
+            if definition.covers(experiment):
+                found = misfits(name, definition, signals[experiment], campaign.places)
+                problems += found
+                if not found:
+                    units |= _units(campaign, name, signals[experiment])
+    problems += _criterion_problems(campaign, units)
+    problems += _figure_problems(campaign, signals)
+    if problems:
+        raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda one: (one.file, one.line, one.column)))
+    return Readiness(units)
+
+
+def first_cases(campaign: Campaign) -> dict[str, Case]:
+    """The first case of each experiment."""
+    first: dict[str, Case] = {}
+    for case in campaign.cases:
+        first.setdefault(case.experiment, case)
+    return first
+
+
+def _units(campaign: Campaign, name: str, signals: Mapping[str, Signal]) -> dict[str, str]:
+    values = results({name: campaign.metrics[name]})
+    return {value: shown_unit(campaign.metrics[name], result, signals) for value, (_, result) in values.items()}
+
+
+def _criterion_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
+    for index, criterion in enumerate(campaign.criteria):
+        sides = [side.metric for side in (criterion.left, criterion.right) if side.metric]
+        message = bound_misfit(criterion, units) if all(metric in units for metric in sides) else ""
+        if message:
+            yield place_at(f"accept: {message}", campaign.places.of(("accept", index, criterion.experiment)), 0)
+
+
+def _figure_problems(campaign: Campaign, signals: Mapping[str, Mapping[str, Signal]]) -> Iterator[Problem]:
+    """Traces of signals that are not recorded in the experiment drawn."""
+    for index, figure in enumerate(campaign.report.figures):
+        known = signals.get(figure.experiment or next(iter(signals), ""))
+        for panel, traces in enumerate(figure.traces):
+            for position, trace in enumerate(traces):
+                if known is not None and trace not in known:
+                    message = f"report: no recorded signal is named '{trace}'{nearest_hint(trace, known)}"
+                    yield campaign.places.problem(message, "report", "figures", index, "traces", panel, position)
