@@ -22,7 +22,8 @@ _ARGUMENTS = ("t", "x", "m", "u", "p")
 
 def _functions(traced: Traced) -> list[ca.Function]:
     """Every function that runtime/instance.h asks of a model, over flat vectors."""
-    t, x, m, u, p = inputs = traced.equations.sx_in()
+    inputs = traced.equations.sx_in()
+    t, x, _, u, p = inputs
     dx, y = traced.equations.call(inputs)
     (z,) = traced.indicators.call(inputs)
     above = ca.SX.sym("above", z.numel())
@@ -59,7 +60,9 @@ def _traced_code(functions: Sequence[ca.Function]) -> str:
         raise ModelError("the generated code asks for work memory, which the runtime does not give")
     # Of the interface that CasADi writes around each function only the function itself is needed.
     bodies = re.findall(r"/\* traced_\w+:.*?^}$", code, re.S | re.M)
-    names = re.findall(r"CASADI_SYMBOL_EXPORT int (traced_\w+)\(const casadi_real\*\* arg[^{]*\{\s*return (\w+)\(", code)
+    names = re.findall(
+        r"CASADI_SYMBOL_EXPORT int (traced_\w+)\(const casadi_real\*\* arg[^{]*\{\s*return (\w+)\(", code
+    )
     constants = re.findall(r"^(?:static const casadi_real \w+\[.*?;|#define casadi_[cf]\d+ .*)$", code, re.M)
     helpers = re.findall(r"^(?:static )?casadi_real casadi_\w+\([^\n]*(?:\}|\{\n.*?^\})$", code, re.S | re.M)
     if len(bodies) != len(functions) or len(names) != len(functions):
@@ -139,18 +142,13 @@ def model_source(traced: Traced, interface: Interface, fmi: int) -> tuple[str, s
     """
     model, sizes = traced.model, interface.sizes
     functions = _functions(traced)
-    defines = [
-        f"#define N{name} {size}" for name, size in sizes.items() if name != "DX"
-    ]
+    defines = [f"#define N{name} {size}" for name, size in sizes.items() if name != "DX"]
     sampled = model.sample is not None
     defines.append(f"#define SAMPLED {int(sampled)}")
     if sampled:
         names = [variable.name for variable in interface.variables]
         defines.append(f"#define SAMPLE_TIME {names.index(model.sample_time)}")
-    wrappers = [
-        _wrapper(function, name, *_WRAPPED[name])
-        for function, name in zip(functions, _WRAPPED, strict=True)
-    ]
+    wrappers = [_wrapper(function, name, *_WRAPPED[name]) for function, name in zip(functions, _WRAPPED, strict=True)]
     nominals = [interface.variables[reference].nominal for reference in interface.block("X")]
     body = "\n\n".join(
         [

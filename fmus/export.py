@@ -42,7 +42,7 @@ def build_fmu(
     path = Path(path)
     content = _archive(model, fmi, _platforms(platforms), overrides or {})
     path.parent.mkdir(parents=True, exist_ok=True)
-    _write_whole(path, content)
+    write_whole(path, content)
     return path
 
 
@@ -109,7 +109,7 @@ def _archive(model: Model, fmi: int, platforms: Sequence[str], overrides: Mappin
     return buffer.getvalue()
 
 
-def _write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Whoever sees the name sees all of the file."""
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -88,13 +88,11 @@ def _scalars(signals: Iterable[Signal], **common: Any) -> list[Variable]:
     return variables
 
 
-def _state_variables(model: Model, assigned: set[str]) -> tuple[list[Variable], list[Variable]]:
+def _state_variables(model: Model, assigned: Collection[str]) -> tuple[list[Variable], list[Variable]]:
     states: list[Variable] = []
     for signal in model.states:
         causality = "local" if signal.local else "output"
-        states += _scalars(
-            [signal], causality=causality, variability="continuous", initial="exact", settable=_BEFORE
-        )
+        states += _scalars([signal], causality=causality, variability="continuous", initial="exact", settable=_BEFORE)
     discrete: list[Variable] = []
     for signal in model.discrete:
         computed = signal.name in assigned
@@ -193,8 +191,17 @@ def interface(traced: Traced, overrides: Mapping[str, float] | None = None) -> I
 
     Raises ModelError: an override names no variable with a start value.
     """
-    model = traced.model
-    states, discrete = _state_variables(model, _assigned_by_transition(traced))
+    found = declared_interface(traced.model, _assigned_by_transition(traced))
+    found = replace(found, variables=_with_dependencies(found, dependencies(traced)))
+    return with_starts(found, overrides or {})
+
+
+def declared_interface(model: Model, assigned: Collection[str] = ()) -> Interface:
+    """The FMI variables that a model's declarations alone give, without dependencies.
+
+    `assigned` names the discrete states that have no start value because the transition computes them.
+    """
+    states, discrete = _state_variables(model, assigned)
     derivatives = [
         replace(
             state,
@@ -219,9 +226,7 @@ def interface(traced: Traced, overrides: Mapping[str, float] | None = None) -> I
     outputs = []
     for signal in model.outputs:
         variability = "continuous" if signal.kind == "real" else "discrete"
-        outputs += _scalars(
-            [signal], causality="output", variability=variability, initial="calculated", settable=0
-        )
+        outputs += _scalars([signal], causality="output", variability=variability, initial="calculated", settable=0)
     indicators = _scalars(
         [Signal(name, description="event indicator") for name in model.indicator_names],
         causality="local",
@@ -247,9 +252,7 @@ def interface(traced: Traced, overrides: Mapping[str, float] | None = None) -> I
         "Z": len(indicators), "P": len(parameters), "S": len(settings),
     }  # fmt: skip
     listed = [time, *states, *derivatives, *discrete, *inputs, *outputs, *indicators, *parameters, *settings]
-    found = Interface(model, tuple(listed), sizes)
-    found = replace(found, variables=_with_dependencies(found, dependencies(traced)))
-    return _with_starts(found, overrides or {})
+    return Interface(model, tuple(listed), sizes)
 
 
 def _with_dependencies(found: Interface, patterns: Dependencies) -> tuple[Variable, ...]:
@@ -271,7 +274,11 @@ def _with_dependencies(found: Interface, patterns: Dependencies) -> tuple[Variab
     return tuple(variables)
 
 
-def _with_starts(found: Interface, overrides: Mapping[str, float]) -> Interface:
+def with_starts(found: Interface, overrides: Mapping[str, float]) -> Interface:
+    """The interface with start values replaced by the name of the scalar, in declared units.
+
+    Raises ModelError: a name is no variable with a start value.
+    """
     variables = list(found.variables)
     places = {variable.name: i for i, variable in enumerate(variables) if variable.has_start}
     for name, value in overrides.items():

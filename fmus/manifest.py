@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from fmus.interface import Interface, Variable
 from fmus.units import BASE, parse_unit
@@ -77,7 +77,32 @@ def _needs_initial_unknown(interface: Interface, reference: int) -> bool:
 
 
 def fmi2_description(interface: Interface, identifier: str, token: str, version: str) -> str:
-    """modelDescription.xml of FMI 2.0 for both kinds, with `identifier` as model identifier.
+    """modelDescription.xml of FMI 2.0 for a native FMU of both kinds, with `identifier` as model identifier."""
+    capabilities = {
+        "modelIdentifier": identifier,
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "true",
+    }
+    stepping = {"canHandleVariableCommunicationStepSize": "true"}
+    kinds = {"ModelExchange": capabilities, "CoSimulation": capabilities | stepping}
+    return _fmi2(interface, kinds, token, f"{GENERATOR} {version}", ("model.c",))
+
+
+def python_description(interface: Interface, identifier: str, token: str, version: str) -> str:
+    """modelDescription.xml of FMI 2.0 for Co-Simulation with Python inside."""
+    capabilities = {
+        "modelIdentifier": identifier,
+        "needsExecutionTool": "true",
+        "canHandleVariableCommunicationStepSize": "true",
+    }
+    return _fmi2(interface, {"CoSimulation": capabilities}, token, f"{GENERATOR} {version} with PythonFMU", ())
+
+
+def _fmi2(
+    interface: Interface, kinds: Mapping[str, Mapping[str, str]], token: str, tool: str, sources: Sequence[str]
+) -> str:
+    """The description for the kinds with their capabilities.
 
     Time is not listed, which FMI 2.0 leaves free and the FMI Library complains of: so a variable's
     index, which counts from 1, is its value reference.
@@ -89,19 +114,16 @@ def fmi2_description(interface: Interface, identifier: str, token: str, version:
         modelName=interface.model.name,
         guid=token,
         description=interface.model.description,
-        generationTool=f"{GENERATOR} {version}",
+        generationTool=tool,
         variableNamingConvention="structured",
         numberOfEventIndicators=str(len(interface.block("Z"))),
     )
-    capabilities = {
-        "modelIdentifier": identifier,
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": "true",
-    }
-    for kind, more in (("ModelExchange", {}), ("CoSimulation", {"canHandleVariableCommunicationStepSize": "true"})):
-        element = ET.SubElement(root, kind, capabilities | more)
-        ET.SubElement(ET.SubElement(element, "SourceFiles"), "File", name="model.c")
+    for kind, capabilities in kinds.items():
+        element = ET.SubElement(root, kind, dict(capabilities))
+        if sources:
+            listing = ET.SubElement(element, "SourceFiles")
+            for name in sources:
+                ET.SubElement(listing, "File", name=name)
     _unit_definitions(root, variables)
     _categories(root)
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stopTime="1.0")

@@ -18,6 +18,7 @@ from fmus.component import Role, Signal
 
 Equations = Callable[[Any, "Values", "Values", "Values", "Values"], tuple[Mapping[str, Any], Mapping[str, Any]]]
 Named = Callable[[Any, "Values", "Values", "Values", "Values"], Mapping[str, Any]]
+Arguments = tuple["Values", "Values", "Values", "Values"]
 Transition = Callable[[Any, "Values", "Values", "Values", "Values", "Values"], Mapping[str, Any]]
 
 
@@ -135,7 +136,7 @@ class FlatModel:
     def __init__(self, model: Model) -> None:
         self.model = model
 
-    def _values(self, x: Sequence[Any], m: Sequence[Any], u: Sequence[Any], p: Sequence[Any]) -> tuple[Values, ...]:
+    def _values(self, x: Sequence[Any], m: Sequence[Any], u: Sequence[Any], p: Sequence[Any]) -> Arguments:
         model = self.model
         return (
             Values(model.states, x, "state"),

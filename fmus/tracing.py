@@ -32,7 +32,7 @@ class Symbol:
             "like np.sin for math.sin"
         )
 
-    __int__ = __index__ = __complex__ = __float__  # type: ignore[assignment]
+    __int__ = __index__ = __complex__ = __float__
 
     def __bool__(self) -> bool:
         raise ModelError(

@@ -19,12 +19,12 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2OK
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
-from tests.models import BALL, BLOW_UP, EVERY_KIND, FILTER, LAG, RELAY, VAN_DER_POL, lag_solution
 
 from fmus.component import Signal
 from fmus.export import build_fmu, cached_fmu
 from fmus.model import FlatModel, Model, ModelError
 from fmus.plants.driveline import MODEL as DRIVELINE
+from tests.models import BALL, BLOW_UP, EVERY_KIND, FILTER, LAG, RELAY, VAN_DER_POL, lag_solution
 
 MODELS = [LAG, VAN_DER_POL, BALL, RELAY, BLOW_UP, FILTER, EVERY_KIND, DRIVELINE]
 

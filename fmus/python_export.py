@@ -1,0 +1,68 @@
+"""Export a model that cannot be traced into C: an FMU with Python inside, packed by PythonFMU."""
+
+from __future__ import annotations
+
+import importlib.util
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+
+from fmus.codegen import token
+from fmus.component import ConfigurationError
+from fmus.interface import declared_interface, with_starts
+from fmus.manifest import python_description
+from fmus.model import Model
+
+_SCRIPT = '''"""The slave of {name}: its equations are imported from the installed packages."""
+from fmus.interface import with_starts
+from fmus.python_slave import ModelSlave
+from {module} import {attribute} as MODEL
+
+
+class {identifier}(ModelSlave):
+    model = MODEL
+
+    def __init__(self, **options):
+        super().__init__(**options)
+        for variable, value in {starts!r}.items():
+            self.values[self._reference(variable)] = value
+'''
+
+
+def build_python_fmu(
+    module: str, attribute: str, path: Path | str, overrides: Mapping[str, float] | None = None
+) -> Path:
+    """The FMU (2.0, Co-Simulation) at `path` of the Model that an importable module holds.
+
+    It runs where PythonFMU's loader finds a Python with this package and that module.
+    `overrides` replaces start values by the name of the scalar, in declared units.
+
+    Raises ConfigurationError: PythonFMU is not installed; ModelError: an override names no variable.
+    """
+    if importlib.util.find_spec("pythonfmu") is None:
+        raise ConfigurationError("an FMU with Python inside wants PythonFMU: pip install pythonfmu")
+    from pythonfmu import FmuBuilder
+
+    from fmus.export import model_identifier, write_whole
+
+    model: Model = getattr(importlib.import_module(module), attribute)
+    identifier = model_identifier(model.name)
+    starts = dict(overrides or {})
+    interface = with_starts(declared_interface(model), starts)
+    script = _SCRIPT.format(name=model.name, module=module, attribute=attribute, identifier=identifier, starts=starts)
+    path = Path(path)
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / f"{identifier}_slave.py"
+        source.write_text(script)
+        packed = Path(FmuBuilder.build_FMU(source, dest=Path(folder) / "packed.fmu"))
+        described = python_description(interface, identifier, token(script), version("crankbench"))
+        replaced = Path(folder) / "described.fmu"
+        with zipfile.ZipFile(packed) as old, zipfile.ZipFile(replaced, "w", zipfile.ZIP_DEFLATED) as new:
+            for entry in old.infolist():
+                content = old.read(entry)
+                new.writestr(entry.filename, described if entry.filename == "modelDescription.xml" else content)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, replaced.read_bytes())
+    return path
