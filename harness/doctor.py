@@ -18,7 +18,7 @@ def examine() -> dict[str, Any]:
     found: dict[str, Any] = {"compiler": None, "zig": None, "cache": None}
     try:
         compiler = find_compiler()
-        found["compiler"] = f"{' '.join(compiler.command)} ({compiler.version})"
+        found["compiler"] = f"{' '.join(compiler.command)} ({compiler.version.splitlines()[0]})"
     except ConfigurationError as error:
         problems.append(str(error))
     try:

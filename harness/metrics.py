@@ -50,7 +50,7 @@ def detection(time: Vector, truth: Vector, estimate: Vector) -> Mapping[str, flo
     over the length of the window, `accuracy` the share of equal rows.
     """
     changes = np.flatnonzero(np.diff(truth)) + 1
-    ends = np.append(changes[1:], len(truth))
+    ends = np.append(changes, len(truth))[1:]
     pending = np.zeros(len(truth), dtype=bool)
     delays = np.full(len(changes), np.inf)
     for index, (start, end) in enumerate(zip(changes, ends, strict=True)):

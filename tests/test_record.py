@@ -59,7 +59,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
 
 
 def test_an_unknown_signal_names_the_nearest():
-    with pytest.raises(KeyError, match="did you mean 'plant.y'"):
+    with pytest.raises(KeyError, match=r"did you mean 'plant\.y'"):
         record()["plant.x"]
 
 
