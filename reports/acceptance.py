@@ -1,7 +1,7 @@
 """The pytest plug-in: one test a criterion of a run folder, and a fixture that reads run folders.
 
-`pytest runs/driveline` collects the criteria of `runs/driveline/acceptance.json`, named as the campaign names them. A test
-of one's own reads a run with the fixture `crankbench_run`:
+`pytest runs/driveline` collects the criteria of `runs/driveline/acceptance.json`, named as the campaign names them.
+A test of one's own reads a run with the fixture `crankbench_run`:
 
     def test_the_hybrid_observer_stays_close(crankbench_run):
         run = crankbench_run("runs/driveline")
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from reports.folder import Criterion, Run
 
 
-def pytest_collect_directory(path: Path, parent: pytest.Collector) -> pytest.Collector | None:
-    """A run folder is collected as criteria; every other folder is left to pytest."""
-    if not _is_run_folder(path):
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> pytest.Collector | None:
+    """The campaign.json of a run folder stands for its criteria, so that a missing acceptance.json is noticed."""
+    if file_path.name != "campaign.json" or not _is_run_folder(file_path.parent):
         return None
-    folder: pytest.Collector = RunFolder.from_parent(parent, path=path)
-    return folder
+    criteria: pytest.Collector = AcceptanceFile.from_parent(parent, path=file_path.with_name("acceptance.json"))
+    return criteria
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
@@ -43,15 +43,6 @@ def crankbench_run(request: pytest.FixtureRequest) -> Callable[[Path | str], Run
     from reports.folder import read_run
 
     return lambda folder: read_run(request.config.rootpath / folder)
-
-
-class RunFolder(pytest.Dir):
-    """A run folder: its acceptance.json, and tests of one's own lying beside it."""
-
-    def collect(self) -> Iterable[pytest.Item | pytest.Collector]:
-        """The criteria first."""
-        yield AcceptanceFile.from_parent(self, path=self.path / "acceptance.json")
-        yield from super().collect()
 
 
 class AcceptanceFile(pytest.File):
@@ -96,8 +87,8 @@ class CriterionTest(pytest.Item):
         )
 
     def reportinfo(self) -> tuple[Path, None, str]:
-        """The file and the criterion's name."""
-        return self.path, None, self.name
+        """The file and a headline that is not the end of the test's id: pytest would write its dots as `::`."""
+        return self.path, None, f"criterion: {self.name}"
 
 
 def _is_run_folder(path: Path) -> bool:
@@ -107,7 +98,7 @@ def _is_run_folder(path: Path) -> bool:
 def _verdict(criterion: Criterion, run: Run) -> str:
     unit = "" if criterion.unit in ("", "1") else f" {criterion.unit}"
     worst = next((case for case in run.cases if case.key == criterion.case), None)
-    lines = [f"{criterion.name}: value {criterion.value:.6g}{unit}, bound {criterion.bound:.6g}{unit}"]
+    lines = [f"value {criterion.value:.6g}{unit}, bound {criterion.bound:.6g}{unit}: {criterion.name}"]
     if worst is not None:
         lines.append(f"worst case: {worst.label} ({worst.key}), {worst.outcome}")
     elif criterion.case:

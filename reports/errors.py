@@ -13,7 +13,7 @@ from reports.folder import Case, Run
 from reports.signals import Column, Vector, from_si, read_columns, recorded
 from reports.standing import definitions
 
-# Samples a histogram keeps of one truth and estimate; beyond it every n-th sample of a case is taken, and the report says so.
+# Samples a histogram keeps of a truth and estimate; beyond it every n-th of a case is taken, and the report says so.
 SAMPLES_KEPT = 500_000
 
 

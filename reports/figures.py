@@ -1,10 +1,11 @@
-"""Static figures as inline SVG: declared signals, heat map, error histograms, confusion, delays. Deterministic bytes."""
+"""Static figures as inline SVG of repeatable bytes: declared signals, heat map, histograms, confusion, delays."""
 
 from __future__ import annotations
 
 import io
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -12,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Drawing
+from matplotlib.ticker import MaxNLocator
 
 from reports.errors import Confusion, Errors
 from reports.numbers import short
@@ -20,7 +22,7 @@ from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure
 
 # Ink is a colour nothing else has, replaced in the SVG by the page's own text colour.
 INK = "#010203"
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.hashsalt": "crankbench",
     "svg.fonttype": "none",
     "font.size": 9.5,
@@ -59,7 +61,7 @@ def signals(figure: Figure, name: str) -> str:
                 )
             for value, label in panel.lines:
                 axis.axhline(value, color=TRUTH_COLOUR, linewidth=1.0, linestyle=(0, (5, 4)))
-                axis.annotate(label, (0.005, value), xycoords=("axes fraction", "data"), va="bottom", fontsize=8.5)
+                axis.annotate(label, (0.005, value), xycoords=("axes fraction", "data"), va="top", fontsize=8.5)
             for window in figure.windows:
                 axis.axvspan(window.since, window.until, color=FAULT_COLOUR, alpha=0.15, linewidth=0)
             if panel is figure.panels[0]:
@@ -68,17 +70,20 @@ def signals(figure: Figure, name: str) -> str:
                         window.label, (window.since, 1.0), xycoords=("data", "axes fraction"), va="top", fontsize=8.5
                     )
             axis.set_ylabel(panel.label)
+            if all(trace.discrete for trace in panel.traces):
+                axis.yaxis.set_major_locator(MaxNLocator(6, integer=True))
             axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), borderaxespad=0.0)
         axes[-1].set_xlabel("time [s]")
         return svg(drawing, name)
 
 
 def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, label: str, name: str) -> str:
-    """Scenarios by observers: `values` of shape (rows, columns), inf where cases failed, NaN where nothing was measured."""
+    """Scenarios by observers: `values` (rows, columns), inf where cases failed, NaN where nothing was measured."""
     finite = values[np.isfinite(values)]
     positive = len(finite) > 0 and finite.min() > 0 and finite.max() / finite.min() > 10
-    low, high = (finite.min(), finite.max()) if len(finite) else (0.0, 1.0)
-    norm = LogNorm(low, high) if positive else Normalize(low, high if high > low else low + 1.0)
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    high = high if high > low else low + 1.0
+    norm = LogNorm(low, high) if positive else Normalize(low, high)
     with matplotlib.rc_context(STYLE | {"axes.grid": False}):
         width = 1.0 + 0.068 * max(map(len, rows)) + 1.25 * len(columns)
         drawing = Drawing(figsize=(min(max(width, 5.0), 11.0), 1.0 + 0.27 * len(rows)), layout="constrained")
@@ -93,7 +98,7 @@ def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, la
             shading="flat",
         )
         for row, column in np.ndindex(*values.shape):
-            value = values[row, column]
+            value = float(values[row, column])
             text = short(value) if np.isfinite(value) else "failed" if np.isinf(value) else "·"
             dark = np.isfinite(value) and float(norm(value)) > 0.55
             colour = INK if not np.isfinite(value) else "white" if dark else "black"
@@ -105,7 +110,10 @@ def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, la
         axis.invert_yaxis()
         axis.spines[:].set_visible(False)
         if len(finite):
-            drawing.colorbar(mesh, ax=axis, label=label, pad=0.02, fraction=0.05)
+            bar = drawing.colorbar(mesh, ax=axis, label=label, pad=0.02, fraction=0.05)
+            ticks = (np.geomspace if positive else np.linspace)(low, high, 3).tolist()
+            bar.set_ticks(ticks, labels=[short(tick, 2) for tick in ticks])
+            bar.minorticks_off()
         return svg(drawing, name)
 
 
@@ -127,8 +135,8 @@ def error_histograms(errors: Sequence[Errors], titles: Sequence[str], colours: S
             axis.set_yscale("log")
             axis.set_ylim(bottom=1e-3, top=100)
             axis.axvline(0.0, color=INK, linewidth=0.7)
-            _corner(axis, f"{title}   {_spread(pooled.values, unit)}")
-        axes[len(axes) // 2].set_ylabel("share of samples [%]")
+            _corner(axis, f"{title}: {_spread(pooled.values, unit)}")
+        drawing.supylabel("share of samples [%]", fontsize=9.5)
         axes[-1].set_xlabel(f"estimate - {errors[0].pair.truth} [{unit}]")
         return svg(drawing, name)
 
@@ -161,7 +169,7 @@ def confusion(matrix: Confusion, name: str) -> str:
 def delays(
     samples: Mapping[str, Vector], unit: str, titles: Mapping[str, str], colours: Mapping[str, str], name: str
 ) -> str:
-    """Distribution of pooled delays, one row an observer: share of the changes detected a bin; missed changes as text."""
+    """Distribution of pooled delays, one row an observer: share of the changes in each bin; missed ones as text."""
     finite = [values[np.isfinite(values)] for values in samples.values()]
     reach = max((float(values.max()) for values in finite if len(values)), default=0.0) or 1.0
     edges = np.linspace(0.0, reach * 1.0001, BINS // 2 + 1)
@@ -208,4 +216,5 @@ def _corner(axis: Axes, text: str) -> None:
 def _spread(values: Vector, unit: str) -> str:
     if not len(values):
         return "no samples"
-    return f"mean {short(float(values.mean()))}, rms {short(float(np.sqrt(np.mean(values**2))))}, max {short(float(np.abs(values).max()))} {unit}"
+    mean, rms, largest = values.mean(), np.sqrt(np.mean(values**2)), np.abs(values).max()
+    return f"mean {short(float(mean), 3)}, rms {short(float(rms), 3)}, max {short(float(largest), 3)} {unit}"

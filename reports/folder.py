@@ -1,18 +1,16 @@
 """Reads a run folder into frozen values: the campaign, its cases, their metrics and the criteria.
 
-pandas is imported where a table is asked for, so that the pytest plug-in starts fast.
+What takes long to import is imported where it is used, so that the pytest plug-in starts fast.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from fmus.model import unknown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +33,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Case:
-    """One case: what was varied, how it ended, what was measured. `outcome` is `missing` where it was never finished."""
+    """One case: what was varied, how it ended, what was measured; `outcome` is `missing` where it never finished."""
 
     key: str
     label: str
@@ -88,7 +86,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder: `campaign` is campaign.json as written; `criteria` is None where acceptance.json was not yet written."""
+    """A run folder: `campaign` is campaign.json as written; `criteria` is None where acceptance.json is not there."""
 
     path: Path
     campaign: Mapping[str, Any]
@@ -120,7 +118,7 @@ class Run:
         for case in self.cases:
             if key in (case.key, case.label):
                 return case
-        raise KeyError(unknown(key, [case.label for case in self.cases], "case"))
+        raise KeyError(_unknown(key, [case.label for case in self.cases], "case"))
 
     def metric_names(self) -> list[str]:
         """Names of all metrics any case has, in order of appearance."""
@@ -135,10 +133,10 @@ class Run:
         import pandas as pd
 
         if name not in self.metric_names():
-            raise KeyError(unknown(name, self.metric_names(), "metric"))
+            raise KeyError(_unknown(name, self.metric_names(), "metric"))
         experiments = [case.experiment for case in self.cases]
         if experiment is not None and experiment not in experiments:
-            raise KeyError(unknown(experiment, experiments, "experiment"))
+            raise KeyError(_unknown(experiment, experiments, "experiment"))
         cases = [case for case in self.cases if experiment in (None, case.experiment)]
         values = {case.label: case.metrics[name].value if name in case.metrics else math.nan for case in cases}
         series = pd.Series(values, name=name, dtype=float)
@@ -221,7 +219,7 @@ def read_criteria(folder: Path) -> tuple[Criterion, ...]:
     return tuple(criteria)
 
 
-_JSON_NAMES = {dict: "an object", list: "a list", str: "text"}
+_JSON_NAMES: dict[type, str] = {dict: "an object", list: "a list", str: "text"}
 
 
 def _read_case(folder: Path, entry: Any) -> Case:
@@ -293,3 +291,9 @@ def _short(raw: Any) -> str:
 
 def _listing(path: Path) -> str:
     return ", ".join(sorted(child.name for child in path.iterdir())[:6]) or "an empty folder"
+
+
+def _unknown(name: str, known: Iterable[str], kind: str) -> str:
+    from fmus.model import unknown
+
+    return unknown(name, known, kind)

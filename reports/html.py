@@ -39,7 +39,7 @@ def write_report(folder: Path | str) -> Path:
 
 
 def render(run: Run) -> str:
-    """The page. Metrics and verdicts are the run's own; only their medians and distributions over cases are made here."""
+    """The page. Metrics and verdicts are the run's own; only medians and distributions over cases are made here."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -135,7 +135,7 @@ def _histograms(run: Run, errors: Sequence[Errors]) -> list[tuple[str, Sequence[
     by_truth: dict[str, list[Errors]] = {}
     for pooled in errors:
         by_truth.setdefault(pooled.pair.truth, []).append(pooled)
-    drawn = []
+    drawn: list[tuple[str, Sequence[Errors], Markup]] = []
     for number, (truth, group) in enumerate(by_truth.items()):
         parts = [pooled.pair.estimate.split(".")[0] for pooled in group]
         named = [titles.get(part, part) for part in parts]
@@ -218,7 +218,7 @@ def _reached(value: float, row: standing.Standing) -> str:
 
 def _ratio(row: standing.Standing, best: standing.Standing) -> str:
     usable = math.isfinite(row.median) and math.isfinite(best.median) and best.median > 0 and row.median > 0
-    return f"× {numbers.short(row.median / best.median, 3)}" if usable else "–"
+    return f"{numbers.short(row.median / best.median, 3)}" if usable else "-"
 
 
 def _longest(figure: Figure) -> int:

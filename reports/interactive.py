@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from reports.signals import Vector, envelope
-from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, Trace, Window
+from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, Panel, Trace, Window
 
 # Points one interactive trace may have, and all of a page together.
 POINTS, PAGE_POINTS = 4000, 160_000
@@ -25,7 +25,8 @@ def interactive(figure: Figure, points: int) -> dict[str, Any]:
     annotations = [_note(window.label, x=window.since, y=1.0, xref="x", yref="paper") for window in figure.windows]
     layout: dict[str, Any] = {
         "height": 90 + 190 * count,
-        "margin": {"l": 90, "r": 10, "t": 10, "b": 50},
+        "margin": {"l": 90, "r": 10, "t": 34, "b": 50},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": TRUTH_COLOUR, "activecolor": FAULT_COLOUR},
         "paper_bgcolor": "rgba(0,0,0,0)",
         "plot_bgcolor": "rgba(0,0,0,0)",
         "font": {"family": "system-ui, sans-serif", "size": 12},
@@ -39,6 +40,8 @@ def interactive(figure: Figure, points: int) -> dict[str, Any]:
         suffix = str(number + 1) if number else ""
         top = 1.0 - number * (height + gap)
         layout[f"yaxis{suffix}"] = {"domain": [max(top - height, 0.0), top], "title": {"text": panel.label}, **_AXIS}
+        if all(trace.discrete for trace in panel.traces):
+            layout[f"yaxis{suffix}"] |= {"tickformat": "d", "nticks": 8, "tick0": 0, **_whole_ticks(panel)}
         layout[f"legend{suffix}"] = {
             "y": top,
             "yanchor": "top",
@@ -49,7 +52,7 @@ def interactive(figure: Figure, points: int) -> dict[str, Any]:
         data += [_line(trace, suffix, points) for trace in panel.traces]
         for value, label in panel.lines:
             shapes.append(_level(value, f"y{suffix}"))
-            annotations.append(_note(label, x=0.005, y=value, xref="paper", yref=f"y{suffix}", yanchor="bottom"))
+            annotations.append(_note(label, x=0.005, y=value, xref="paper", yref=f"y{suffix}"))
     return {"data": data, "layout": layout}
 
 
@@ -90,6 +93,11 @@ def _line(trace: Trace, suffix: str, points: int) -> dict[str, Any]:
         "opacity": 0.6 if trace.is_truth else 1.0,
         "hovertemplate": f"%{{y:.4~g}}{unit}<extra>{trace.name}</extra>",
     }
+
+
+def _whole_ticks(panel: Panel) -> dict[str, Any]:
+    reach = max(float(np.ptp(trace.values)) for trace in panel.traces)
+    return {"dtick": 1} if reach <= 8 else {}
 
 
 def _packed(values: Vector, kind: str) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""What a report says about where its numbers come from: hashes, versions, seeds, settings, order of steps, tolerances."""
+"""Where a report's numbers come from: hashes, versions, seeds, settings, order of steps, what was tolerated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the observers stand: which metrics compare, and median, p95 and worst of each over the cases, failures counted."""
+"""How the observers stand: which metrics compare, and each one's median, p95 and worst, failures counted."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OPTIONS = ("description", "after", "until", "unit", "only", "meaning")
 
 @dataclass(frozen=True)
 class Definition:
-    """A metric as the campaign declares it: its kind, what it compares as (truth, estimate), or the signals it looks at."""
+    """A metric as declared: its kind, the pairs (truth, estimate) it compares, the signals it looks at."""
 
     name: str
     kind: str
@@ -45,8 +45,10 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Standing:
-    """One metric over many cases, in the metric's unit. A failed case counts as infinitely bad, a case to which the metric
-    does not apply as nothing. `p95`: 95 % of the cases are at least this good."""
+    """One metric over many cases, in the metric's unit; `p95`: 95 % of the cases are at least this good.
+
+    A failed case counts as infinitely bad, a case to which the metric does not apply is not counted.
+    """
 
     observer: str
     metric: str
@@ -74,14 +76,14 @@ def definitions(run: Run) -> dict[str, Definition]:
             signals=signals,
             after=_seconds(options.get("after"), -math.inf),
             until=_seconds(options.get("until"), math.inf),
-            text="; ".join([f"{kind}: {_plain(options.get(kind))}", *rest]),
+            text="; ".join([f"{kind} of {_measured_on(options.get(kind))}", *rest]),
             meaning=str(options.get("description") or options.get("meaning") or ""),
         )
     return found
 
 
 def observers(run: Run) -> dict[str, str]:
-    """Titles of the observers by part name: as the report section names them, else the parts metrics compare with a truth."""
+    """Titles of the observers by part: as the report section names them, else the parts compared with a truth."""
     declared = (run.campaign.get("report") or {}).get("observers") or {}
     if declared:
         return {name: str((entry or {}).get("title") or _title(name)) for name, entry in declared.items()}
@@ -92,7 +94,7 @@ def observers(run: Run) -> dict[str, str]:
 
 
 def quantities(run: Run) -> list[Quantity]:
-    """What the observers are measured by, in the order of the metrics: metrics of one kind and one truth are one quantity."""
+    """What the observers are measured by: metrics of one kind, window, unit and truth are one quantity."""
     known = definitions(run)
     grouped: dict[tuple[Any, ...], dict[str, str]] = {}
     labels: dict[tuple[Any, ...], str] = {}
@@ -113,7 +115,7 @@ def quantities(run: Run) -> list[Quantity]:
                 part,
                 unit_of(run, metric),
             )
-            label = f"{definition.kind.replace('_', ' ')} of {', '.join(truths)}" + (
+            label = f"{_readable(definition.kind)} of {', '.join(truths)}" + (
                 f": {part.replace('_', ' ')}" if part else ""
             )
         if observer in grouped.get(key, {}):
@@ -242,12 +244,23 @@ def _seconds(value: Any, otherwise: float) -> float:
         return otherwise
 
 
+def _measured_on(value: Any) -> str:
+    short = isinstance(value, Mapping) and len(value) == 1
+    return _plain(next(iter(value.values()))) if short else _plain(value)
+
+
 def _plain(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, list) and len(value) == 1:
+        return _plain(value[0])
     if isinstance(value, list):
         return "[" + ", ".join(_plain(item) for item in value) + "]"
     return "" if value is None else str(value)
+
+
+def _readable(kind: str) -> str:
+    return "RMSE" if kind == "rmse" else kind.replace("_", " ").capitalize()
 
 
 def _title(name: str) -> str:

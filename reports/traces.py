@@ -80,7 +80,7 @@ def part_colours(run: Run) -> dict[str, str]:
 
 
 def fault_windows(run: Run, case: Case, stop: float) -> tuple[Window, ...]:
-    """When the sensors' faults are active up to `stop` [s], as the campaign declares them and the case's values override them."""
+    """When the sensors' faults are active up to `stop` [s]: as the campaign declares and the case overrides them."""
     windows = []
     for part, spec in (run.campaign.get("parts") or {}).items():
         for index, fault in enumerate((spec.get("faults") if isinstance(spec, Mapping) else None) or ()):

@@ -1,4 +1,4 @@
-"""A run folder is read as the contract says, and a damaged one is named; holds the synthetic run other tests use too."""
+"""A run folder is read as the contract says, a damaged one is named; holds the synthetic run of other tests too."""
 
 import json
 import math
@@ -31,7 +31,10 @@ METRICS: dict[str, Any] = {
     "rmse_open_loop": {"rmse": {"pairs": [["plant.theta_e", "open_loop.theta_e"]]}, "after": "0.5 s", "unit": "rad"},
     "speed_hybrid": {"max_error": {"pairs": [["plant.omega_c", "hybrid.omega_c"]]}, "unit": "rpm"},
     "speed_open_loop": {"max_error": {"pairs": [["plant.omega_c", "open_loop.omega_c"]]}, "unit": "rpm"},
-    "located": {"detection": {"pair": ["plant.location", "hybrid.location"]}, "meaning": "How fast a location is found."},
+    "located": {
+        "detection": {"pair": ["plant.location", "hybrid.location"]},
+        "meaning": "How fast a location is found.",
+    },
 }
 REPORT: dict[str, Any] = {
     "observers": {
@@ -58,11 +61,20 @@ REPORT: dict[str, Any] = {
 }
 CRITERIA: list[dict[str, Any]] = [
     {"text": "rmse_hybrid < 0.01 rad", "experiment": "", "value": 0.0021, "bound": 0.01, "unit": "rad", "passed": True},
-    {"text": "p95(located.delay) < 20 ms", "experiment": "figure_6", "value": 12.0, "bound": 20, "unit": "ms", "passed": True},
+    {
+        "text": "p95(located.delay) < 20 ms",
+        "experiment": "figure_6",
+        "value": 12.0,
+        "bound": 20,
+        "unit": "ms",
+        "passed": True,
+    },
 ]
 
 
-def build_run(folder: Path, *, seeds: int = 3, rows: int = 2001, failing: Sequence[str] = (), criteria: Any = None) -> Path:
+def build_run(
+    folder: Path, *, seeds: int = 3, rows: int = 2001, failing: Sequence[str] = (), criteria: Any = None
+) -> Path:
     """A run folder as the contract has it: two experiments and `seeds` seeds; `failing` names cases that diverged."""
     cases = []
     for experiment, values in (
@@ -78,7 +90,9 @@ def build_run(folder: Path, *, seeds: int = 3, rows: int = 2001, failing: Sequen
             ending: dict[str, Any] = {"outcome": "diverged" if failed else "ok", "part": "open_loop" if failed else ""}
             ending |= {"message": "open_loop.theta_e is nan" if failed else ""}
             identity = {"key": key, "label": label, "experiment": experiment, "values": varied}
-            write_case(folder, identity, ending, seed, scale=1.0 + 8.0 * len(values), rows=rows // 2 if failed else rows)
+            write_case(
+                folder, identity, ending, seed, scale=1.0 + 8.0 * len(values), rows=rows // 2 if failed else rows
+            )
             cases.append({**identity, **ending, "time": 2.0 if failed else None})
     (folder / "campaign.json").write_text(json.dumps(campaign(cases, seeds)))
     (folder / "acceptance.json").write_text(json.dumps(with_worst(CRITERIA if criteria is None else criteria, cases)))
@@ -101,7 +115,11 @@ def campaign(cases: Sequence[Mapping[str, Any]], seeds: int) -> dict[str, Any]:
         "clock": {"time": {"step": "2 ms", "stop": "4 s"}},
         "parts": {
             "plant": {"use": "fmus.plants.driveline"},
-            "encoder": {"use": "sensor", "of": "plant.y", "faults": [{"bias": "5 rpm", "from": "3 s", "to": "3500 ms"}]},
+            "encoder": {
+                "use": "sensor",
+                "of": "plant.y",
+                "faults": [{"bias": "5 rpm", "from": "3 s", "to": "3500 ms"}],
+            },
         },
         "metrics": METRICS,
         "accept": [criterion["text"] for criterion in CRITERIA],
@@ -113,7 +131,11 @@ def campaign(cases: Sequence[Mapping[str, Any]], seeds: int) -> dict[str, Any]:
 
 def with_worst(criteria: Any, cases: Sequence[Mapping[str, Any]]) -> Any:
     """The criteria with the first case as the worst."""
-    return [{"case": cases[0]["key"], "reason": "", **criterion} for criterion in criteria] if isinstance(criteria, list) else criteria
+    return (
+        [{"case": cases[0]["key"], "reason": "", **criterion} for criterion in criteria]
+        if isinstance(criteria, list)
+        else criteria
+    )
 
 
 def write_case(
@@ -139,7 +161,9 @@ def write_case(
     path = folder / "cases" / identity["key"]
     path.mkdir(parents=True)
     fields = [field("time", "s", "s")] + [field(name, *UNITS[name.split(".")[1]]) for name in SIGNALS]
-    pq.write_table(pa.table([time, *(values[name] for name in SIGNALS)], schema=pa.schema(fields)), path / "signals.parquet")
+    pq.write_table(
+        pa.table([time, *(values[name] for name in SIGNALS)], schema=pa.schema(fields)), path / "signals.parquet"
+    )
     case = {
         **identity,
         **ending,
@@ -147,7 +171,9 @@ def write_case(
         "starts": {"plant": {"k": 1500.0, "solver.method": 1, "solver.step": 0.001}, "hybrid": {"tau": 0.125}},
         "wall": {"total": 0.25, "plant": 0.1},
         "metrics": {} if ending["outcome"] != "ok" else measured(values, scale),
-        "samples": {} if ending["outcome"] != "ok" else {"located.delay": [0.010, 0.012, math.inf if seed == 2 else 0.014]},
+        "samples": {}
+        if ending["outcome"] != "ok"
+        else {"located.delay": [0.010, 0.012, math.inf if seed == 2 else 0.014]},
         "warnings": ["the plant's FMU names no unit for tau"],
         "log": [],
         "order": ["torque", "plant", "encoder", "hybrid", "open_loop"],
@@ -238,7 +264,7 @@ def test_a_folder_without_a_campaign_is_named_with_what_is_in_it(tmp_path):
         ("acceptance.json", "{}", r"acceptance\.json: wants a list"),
         ("acceptance.json", '[{"text": "a < 1"}]', "criterion 1 wants an object with 'text' and 'passed'"),
         ("cases/0000000000000000/case.json", '{"metrics": {"a": 3}}', "metric a wants {value, unit}, got 3"),
-        ("cases/0000000000000000/case.json", '{"key": "other"}', "wants key 0000000000000000, got \"other\""),
+        ("cases/0000000000000000/case.json", '{"key": "other"}', 'wants key 0000000000000000, got "other"'),
     ],
 )
 def test_a_damaged_file_is_named_with_what_was_wanted(tmp_path, file, content, message):
