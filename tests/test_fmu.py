@@ -175,11 +175,12 @@ def test_arrays_pass_as_scalars_in_row_major_order():
     component = load_fmu(reference_fmu("StateSpace", 3), starts=starts)
     assert [signal.name for signal in component.inputs] == ["u[1]", "u[2]", "u[3]"]
     y0 = component.start(0.0, u)
-    y1, y2 = component.step(0.0, 1.0, u), component.step(1.0, 1.0, v)
-    # x' = A x + B u by Euler steps of 1 from x = 0, y = C x + D u; some twenty roundings.
-    x1 = b @ u
-    x2 = x1 + a @ x1 + b @ v
-    assert np.allclose([y0, y1, y2], [d @ u, c @ x1 + d @ u, c @ x2 + d @ v], rtol=1e-12, atol=1e-12)
+    h = 1e-3  # the step of the FMU's own solver
+    y1, y2 = component.step(0.0, h, u), component.step(h, h, v)
+    # x' = A x + B u by Euler steps from x = 0, y = C x + D u; some twenty roundings.
+    x1 = h * b @ u
+    x2 = x1 + h * (a @ x1 + b @ v)
+    assert np.allclose([y0, y1, y2], [d @ u, c @ x1 + d @ u, c @ x2 + d @ v], rtol=1e-13, atol=1e-13)
     assert component.applied_starts["C[2,3]"] == c[1, 2]
     component.close()
 
