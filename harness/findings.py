@@ -33,9 +33,12 @@ class Findings:
         return Path(self.places.file).parent
 
     def add(self, message: str) -> None:
-        """Note a problem at this key; the key's name leads where the message is of the kind `wants ..., got ...`."""
-        said = f"{self.name} {message}" if message.startswith("wants ") else message
-        self.problems.append(self.places.problem(said, *self.path))
+        """Note a problem with this key, whose name leads the message."""
+        self.tell(f"{self.name} {message}" if message.startswith("wants ") else f"{self.name}: {message}")
+
+    def tell(self, message: str) -> None:
+        """Note a problem at this key in words of its own."""
+        self.problems.append(self.places.problem(message, *self.path))
 
     def value(self, measure: Measure, unit: str) -> float:
         """A measure in SI; 0 and a problem where it does not fit `unit`."""

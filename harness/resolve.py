@@ -39,7 +39,7 @@ def resolve(spec: ModelPart, part: str, found: Findings) -> Resolved | None:
         return _from_file(spec, part, found) if spec.use.endswith(".fmu") else _from_module(spec, part, found)
     except ConfigurationError as error:
         for problem in error.problems:
-            found.at("use").add(f"{part}: {problem}")
+            found.at("use").tell(f"{part}: {problem}")
         return None
 
 
@@ -78,7 +78,7 @@ def _from_module(spec: ModelPart, part: str, found: Findings) -> Resolved | None
     )
     if given is None and attribute:
         public = [name for name in vars(module) if not name.startswith("_")]
-        found.at("use").add(f"{module_name}: {unknown(attribute, public, 'model')}")
+        found.at("use").add(unknown(attribute, public, f"model in {module_name}"))
     elif given is None:
         found.at("use").add(f"wants a module with a MODEL or a make, got {module_name}, which has neither")
     elif isinstance(given, Model):
@@ -122,7 +122,7 @@ def _from_model(
     try:
         component = load_fmu(cached_fmu(model), starts={**chosen, **given}, name=part, role=model.role)
     except ModelError as error:
-        found.at("use").add(f"{part}: {error}")
+        found.at("use").tell(f"{part}: {error}")
         return None
     return Resolved(component, {**chosen, **given})
 
@@ -132,7 +132,7 @@ def _parameter_set(model: Model, name: str | None, found: Findings) -> dict[str,
     if name is None:
         return {}
     if name not in model.parameter_sets:
-        found.add(f"{model.name}: {unknown(name, model.parameter_sets, 'parameter set')}")
+        found.add(unknown(name, model.parameter_sets, f"parameter set of {model.name}"))
         return None
     values: dict[str, float] = {}
     for signal in model.parameters:
@@ -158,7 +158,7 @@ def read_settings(signals: Iterable[Signal], settings: Mapping[str, Any], found:
     for key, raw in settings.items():
         signal = whole.get(key) or scalars.get(key)
         if signal is None:
-            found.at(key).add(f"{found.at(key).name}: {unknown(key, whole, 'parameter or start value')}")
+            found.at(key).add(unknown(key, whole, "parameter or start value"))
         else:
             values |= zip(signal.scalar_names(), _numbers(raw, signal, found.at(key)), strict=False)
     return values if len(found.problems) == before else None
@@ -207,7 +207,7 @@ def _made(make: Callable[..., Any], spec: ModelPart, part: str, found: Findings)
     try:
         made = make(**arguments)
     except ValueError as error:
-        found.at("with").add(f"{part}: {error}")
+        found.at("with").tell(f"{part}: {error}")
         return None
     numbers = {name: float(value) for name, value in arguments.items() if isinstance(value, (int, float))}
     if isinstance(made, Model):
@@ -234,7 +234,7 @@ def _arguments(make: Callable[..., Any], settings: Mapping[str, Any], found: Fin
         elif open_ended:
             arguments[key] = raw
         else:
-            found.at(key).add(f"{found.at(key).name}: {unknown(key, named, 'argument')}")
+            found.at(key).add(unknown(key, named, "argument"))
     for name in named:
         if parameters[name].default is inspect.Parameter.empty and name not in settings:
             found.at(name).add(f"wants a value; write `with: {{{name}: ...}}`")

@@ -43,7 +43,7 @@ from fmus.component import DIVERGED, ERROR, FATAL, OK, STATUS_NAMES, WARNING, Co
 from fmus.units import parse_unit
 from harness.native import address, library
 from harness.record import Record
-from harness.wiring import Slot, System
+from harness.system import Slot, System
 
 Progress = Callable[[int, int], None]
 # Between pieces of about this long the run answers to the keyboard and tells its progress.

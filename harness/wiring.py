@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Self
+from dataclasses import replace
+from typing import NamedTuple
 
 from fmus.component import Component, ConfigurationError, Signal
 from fmus.model import unknown
@@ -19,68 +19,11 @@ from harness.resolve import resolve
 from harness.scenario import Measure, ModelPart, Scenario, SensorPart, SourcePart
 from harness.sensor import build_sensor
 from harness.source import build_source
+from harness.system import Slot, System, TimeGrid
 
 MOST_STEPS = 100_000_000
 _NAME = re.compile(r"[A-Za-z_]\w*$")
 NOWHERE = Places()
-
-
-class TimeGrid(NamedTuple):
-    """Instants t_k = start + k step [s], k = 0 ... steps."""
-
-    start: float
-    step: float
-    steps: int
-
-
-@dataclass(frozen=True)
-class Slot:
-    """A part in its place: where on the bus its inputs come from and its outputs go to, and its period in steps."""
-
-    name: str
-    component: Component
-    inputs: tuple[int, ...]
-    outputs: range
-    period: int
-
-
-@dataclass(frozen=True)
-class System:
-    """Parts wired on a flat bus of doubles, ready to run.
-
-    `parts` in the order they are stepped, `bus` the signals named `part.output` in the order the parts were declared,
-    `recorded` the places on the bus that a record keeps. `held` are the wires whose part sees the value at k-1.
-    `settings` are the values the parts were given, in SI.
-    """
-
-    grid: TimeGrid
-    parts: tuple[Slot, ...]
-    bus: tuple[Signal, ...]
-    wires: tuple[Wire, ...]
-    held: tuple[Wire, ...]
-    recorded: tuple[int, ...]
-    settings: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-
-    @property
-    def order(self) -> tuple[str, ...]:
-        """Names of the parts in the order they are stepped."""
-        return tuple(part.name for part in self.parts)
-
-    @property
-    def components(self) -> dict[str, Component]:
-        """The components by part name."""
-        return {part.name: part.component for part in self.parts}
-
-    def close(self) -> None:
-        """Release what the components hold."""
-        for part in self.parts:
-            part.component.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class _Built(NamedTuple):
@@ -158,7 +101,7 @@ def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], 
     for name in scenario.parts:
         built[name] = None
         if not _NAME.match(name):
-            found.at("parts", name).add(f"a part's name wants letters, digits and _, got '{name}'")
+            found.at("parts", name).tell(f"a part's name wants letters, digits and _, got '{name}'")
     for name, spec in scenario.parts.items():
         here = found.at("parts", name)
         if isinstance(spec, ModelPart):
@@ -173,7 +116,7 @@ def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], 
         ready = [name for name, spec in waiting.items() if spec.of.partition(".")[0] not in waiting]
         if not ready:
             for name, spec in waiting.items():
-                found.at("parts", name, "of").add(f"{name} measures {spec.of}: these sensors only measure each other")
+                found.at("parts", name, "of").tell(f"{name} measures {spec.of}: these sensors only measure each other")
             return
         for name in ready:
             spec = waiting.pop(name)
@@ -190,7 +133,7 @@ def _known_unit(unit: str, found: Findings) -> bool:
     try:
         parse_unit(unit)
     except UnitError as error:
-        found.add(f"{found.name}: {error}")
+        found.add(str(error))
         return False
     return True
 
@@ -205,7 +148,7 @@ def _find_output(text: str, built: Mapping[str, _Built | None], found: Findings)
     """Part and output of `part.output`, or of `part` with one output; None where the part has problems itself."""
     part, _, output = text.partition(".")
     if part not in built:
-        found.add(f"{found.name}: {unknown(part, built, 'part')}")
+        found.add(unknown(part, built, "part"))
         return None
     source = built[part]
     if source is None:
@@ -214,12 +157,12 @@ def _find_output(text: str, built: Mapping[str, _Built | None], found: Findings)
     if output in names:
         return part, output
     if output:
-        found.add(f"{found.name}: {unknown(text, [f'{part}.{name}' for name in names], 'signal')}")
+        found.add(unknown(text, [f"{part}.{name}" for name in names], "signal"))
     elif len(names) == 1 or "value" in names:
         return part, names[0] if len(names) == 1 else "value"
     else:
         listed = ", ".join(f"{part}.{name}" for name in names) or "none"
-        found.add(f"{found.name} wants one output of {part}, got '{text}'; there are {listed}")
+        found.add(f"wants one output of {part}, got '{text}'; there are {listed}")
     return None
 
 
@@ -235,11 +178,11 @@ def _wires(scenario: Scenario, built: Mapping[str, _Built | None], found: Findin
         inputs = [signal.name for signal in part.component.inputs]
         for input_name in given:
             if input_name not in inputs:
-                here.at(input_name).add(f"{name}: {unknown(input_name, inputs, 'input')}")
+                here.at(input_name).add(unknown(input_name, inputs, f"input of {name}"))
         depends = {input_name for _, input_name in part.component.feedthrough}
         for input_name in inputs:
             if input_name not in given:
-                here.add(f"{name}.{input_name} wants a wire; write `wires: {{{input_name}: part.output}}`")
+                here.tell(f"{name}.{input_name} wants a wire; write `wires: {{{input_name}: part.output}}`")
                 continue
             quiet = Findings(found.places) if isinstance(spec, SensorPart) else here.at(input_name)
             source = _find_output(given[input_name], built, quiet)
@@ -259,12 +202,12 @@ def _check_wires(
         given = _output((entry.source, entry.output), built)
         wanted = next(signal for signal in target.component.inputs if signal.name == entry.input)
         if not parse_unit(given.unit).same_dimension(parse_unit(wanted.unit)):
-            here.add(f"{entry.part}.{entry.input} wants {_named(wanted)}, got {_named(given)} from {entry.source}")
+            here.tell(f"{entry.part}.{entry.input} wants {_named(wanted)}, got {_named(given)} from {entry.source}")
         if wanted.kind != "real" and given.kind == "real" and source.component.role != "source":
-            here.add(f"{entry.part}.{entry.input} wants {wanted.kind} values, got real ones from {entry.source}")
+            here.tell(f"{entry.part}.{entry.input} wants {wanted.kind} values, got real ones from {entry.source}")
         if source.component.role == "plant" and target.component.role == "observer":
             truth = f"{entry.source}.{entry.output}"
-            here.add(
+            here.tell(
                 f"{entry.part}.{entry.input} reads the truth, {truth}: put a sensor between, "
                 f"like `{entry.output}_sensor: {{use: sensor, of: {truth}}}`"
             )
@@ -283,11 +226,13 @@ def _assemble(
         order = order_parts({name: part.component.role == "sensor" for name, part in whole.items()}, wires)
     except AlgebraicLoop as error:
         first = error.wires[0]
-        found.at("parts", first.part, "wires", first.input).add(str(error))
+        found.at("parts", first.part, "wires", first.input).tell(str(error))
         return None
     recorded = _recorded(scenario, built, found)
     if found.problems:
         return None
+    if recorded is not None:
+        _fetch_only(whole, {f"{entry.source}.{entry.output}" for entry in wires}.union(recorded))
     bus: list[Signal] = []
     outputs: dict[str, range] = {}
     for name, part in whole.items():
@@ -304,6 +249,18 @@ def _assemble(
     settings = {name: dict(part.settings) for name, part in whole.items()}
     columns = tuple(range(len(bus))) if recorded is None else tuple(place[name] for name in recorded)
     return System(grid, tuple(slots), tuple(bus), tuple(wires), held, columns, settings)
+
+
+def _fetch_only(built: Mapping[str, _Built], needed: Iterable[str]) -> None:
+    """Spares FMUs the outputs that are neither wired nor recorded."""
+    by_part: dict[str, list[str]] = {name: [] for name in built}
+    for name in needed:
+        part, _, output = name.partition(".")
+        by_part[part].append(output)
+    for name, part in built.items():
+        select = getattr(part.component, "select_outputs", None)
+        if select is not None:
+            select(by_part[name])
 
 
 def _recorded(scenario: Scenario, built: Mapping[str, _Built | None], found: Findings) -> list[str] | None:

@@ -11,7 +11,7 @@ from fmus.component import Component, Vector
 from fmus.units import parse_unit
 from harness.sensor import Errors, SensorComponent, lag_weights, split_delay, stream
 from harness.source import SourceComponent
-from harness.wiring import System
+from harness.system import System
 
 
 def run_plainly(system: System) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 import time
@@ -180,7 +181,7 @@ def test_a_run_in_pieces_gives_the_same_bytes(cuts: list[int]) -> None:
     values = np.empty_like(whole)
     values[0] = started.row()
     instants = [0, *sorted(set(cuts)), 10000]
-    for begin, end in zip(instants[:-1], instants[1:], strict=True):
+    for begin, end in itertools.pairwise(instants):
         assert started.advance(begin, end, values[begin + 1 :]) == end
     assert values.tobytes() == whole.tobytes()
 
