@@ -1,0 +1,1 @@
+"""How fast the platform is beside hand-written C, PythonFMU and FMPy, all measured in one run."""

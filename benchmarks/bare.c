@@ -1,0 +1,65 @@
+/* Bare loops, the peers of the platform's own: FMUs called through nothing, in a fixed order, with fixed places. */
+#include <stddef.h>
+#include <stdint.h>
+
+#define EXPORT __attribute__((visibility("default")))
+
+typedef struct {
+    void *instance;
+    int (*set_real)(void *, const uint32_t *, size_t, const double *);
+    int (*do_step)(void *, double, double, int);
+    int (*get_real)(void *, const uint32_t *, size_t, double *);
+    int (*get_integer)(void *, const uint32_t *, size_t, int *);
+    const uint32_t *inputs, *outputs, *integers;
+    size_t n_inputs, n_outputs, n_integers;
+} Fmu;
+
+typedef int (*Step)(void *self, double t, double h, const double *u, double *y);
+
+/* A row: theta_e, omega_c, omega_p, location, y in rpm. */
+EXPORT int step_driveline_fmu(const Fmu *plant, int64_t steps, double h, const double *torque, double *rows) {
+    for (int64_t k = 0; k < steps; k++, rows += 5) {
+        double real[4];
+        int location, status = plant->set_real(plant->instance, plant->inputs, 1, &torque[k]);
+        status |= plant->do_step(plant->instance, (double)k * h, h, 1);
+        status |= plant->get_real(plant->instance, plant->outputs, 4, real);
+        status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
+        if (status) return status;
+        rows[0] = real[0], rows[1] = real[1], rows[2] = real[2], rows[3] = location, rows[4] = real[3];
+    }
+    return 0;
+}
+
+EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, const double *torque, double *rows) {
+    for (int64_t k = 0; k < steps; k++, rows += 5) {
+        int status = step(self, (double)k * h, h, &torque[k], rows);
+        if (status) return status;
+    }
+    return 0;
+}
+
+/* Source, plant, identity sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, location, y in rad/s, the
+ * sensor's value, and the observer's three estimates. The source jumps from 0 to `torque` at step `jump`. */
+EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double h, double torque, int64_t jump,
+                    double rpm, double *rows) {
+    for (int64_t k = 1; k <= steps; k++) {
+        const double t = (double)(k - 1) * h;
+        double *row = rows + 10 * k, measured[2];
+        int location, status;
+        row[0] = k - 1 >= jump ? torque : 0.0;
+        status = plant->set_real(plant->instance, plant->inputs, 1, row);
+        status |= plant->do_step(plant->instance, t, h, 1);
+        status |= plant->get_real(plant->instance, plant->outputs, 4, row + 1);
+        status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
+        row[5] = rpm * row[4];
+        row[4] = location;
+        row[6] = row[5];
+        measured[0] = row[0];
+        measured[1] = row[6] / rpm;
+        status |= observer->set_real(observer->instance, observer->inputs, 2, measured);
+        status |= observer->do_step(observer->instance, t, h, 1);
+        status |= observer->get_real(observer->instance, observer->outputs, 3, row + 7);
+        if (status) return status;
+    }
+    return 0;
+}

@@ -1,0 +1,151 @@
+"""Measures of the step loop: beside a bare C loop over the same FMUs, and beside FMPy's calls."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks import luenberger
+from benchmarks.direct import DirectFmu
+from benchmarks.exported import OUTPUTS, STEP, bare_library
+from benchmarks.measure import Measure, side_by_side
+from fmus.export import cached_fmu
+from fmus.plants import driveline
+from fmus.units import parse_unit
+from harness.run import run
+from harness.scenario import Scenario
+from harness.wiring import System, wire
+
+ESTIMATES = ("theta_e", "omega_c", "omega_p")
+TORQUE = -10.0  # N.m
+JUMP = 2000  # the step from which the torque acts
+RPM = parse_unit("rpm").factor
+COLUMNS = 10
+
+
+def plant_and_two_native_parts(steps: int) -> System:
+    """Source, driveline, identity sensor and observer; all their signals are recorded."""
+    scenario = Scenario.model_validate(
+        {
+            "clock": {"time": {"step": f"{STEP} s", "stop": f"{steps * STEP} s"}},
+            "parts": {
+                "torque": {
+                    "use": "source",
+                    "unit": "N.m",
+                    "step": {"at": f"{JUMP * STEP} s", "from": "0 N.m", "to": f"{TORQUE} N.m"},
+                },
+                "plant": {"use": "fmus.plants.driveline", "wires": {"T_eng": "torque"}},
+                "encoder": {"use": "sensor", "of": "plant.y"},
+                "observer": {"use": "benchmarks.luenberger", "wires": {"T_eng": "torque", "y": "encoder"}},
+            },
+        }
+    )
+    return wire(scenario)
+
+
+def beside_bare_c(steps: int = 200_000, rounds: int = 15) -> Measure:
+    """A whole run, its rows allocated and its parts started, beside the same work in a C loop of fixed places.
+
+    Raises RuntimeError: the rows of the two are not equal bit for bit.
+    """
+    with plant_and_two_native_parts(steps) as system:
+        ours, ours_rows = _ours(system)
+        bare = bare_library()
+        plant, observer = _direct_fmus()
+        peer_rows: list[np.ndarray] = []
+
+        def peer() -> float:
+            peer_rows.clear()
+            begin = time.process_time()
+            rows = np.empty((steps + 1, COLUMNS))
+            tables = (plant.start().for_c(), observer.start().for_c())
+            status = bare.run_bare(
+                *(ctypes.byref(table) for table in tables),
+                ctypes.c_int64(steps),
+                ctypes.c_double(STEP),
+                ctypes.c_double(TORQUE),
+                ctypes.c_int64(JUMP),
+                ctypes.c_double(RPM),
+                ctypes.c_void_p(rows.ctypes.data),
+            )
+            elapsed = time.process_time() - begin
+            if status:
+                raise RuntimeError(f"the bare loop ended in the status {status}")
+            peer_rows.append(rows)
+            return elapsed / steps
+
+        times = side_by_side(ours, peer, rounds)
+        _check_equal("the bare loop", ours_rows[0], peer_rows[0])
+    plant.close()
+    observer.close()
+    return Measure("loop, plant and two native parts", *times, "bare C loop, same FMUs", 1.15)
+
+
+def beside_fmpy(steps: int = 20_000, rounds: int = 5) -> Measure:
+    """A whole run beside a Python loop that makes the same calls on the same FMUs through FMPy.
+
+    Raises RuntimeError: the rows of the two are not equal bit for bit.
+    """
+    with plant_and_two_native_parts(steps) as system:
+        ours, ours_rows = _ours(system)
+        plant, observer = _direct_fmus()
+        peer_rows: list[np.ndarray] = []
+
+        def peer() -> float:
+            begin = time.process_time()
+            rows = np.empty((steps + 1, COLUMNS))
+            _step_through_fmpy(plant.start(), observer.start(), rows)
+            elapsed = time.process_time() - begin
+            peer_rows[:] = [rows]
+            return elapsed / steps
+
+        times = side_by_side(ours, peer, rounds)
+        _check_equal("the loop through FMPy", ours_rows[0], peer_rows[0])
+    plant.close()
+    observer.close()
+    return Measure("loop, plant and two native parts", *times, "FMPy's calls, same FMUs", 1 / 10)
+
+
+def _ours(system: System) -> tuple[Callable[[], float], list[np.ndarray]]:
+    kept: list[np.ndarray] = []
+
+    def timed() -> float:
+        kept.clear()
+        begin = time.process_time()
+        record = run(system)
+        elapsed = time.process_time() - begin
+        if record.outcome != "ok":
+            raise RuntimeError(f"{record.outcome}: {record.message}")
+        kept.append(record.values)
+        return elapsed / system.grid.steps
+
+    return timed, kept
+
+
+def _direct_fmus() -> tuple[DirectFmu, DirectFmu]:
+    plant = DirectFmu(cached_fmu(driveline.MODEL), ("T_eng",), OUTPUTS, ("location",))
+    return plant, DirectFmu(cached_fmu(luenberger.MODEL), ("T_eng", "y"), ESTIMATES)
+
+
+def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) -> None:
+    for k in range(1, len(rows)):
+        t = (k - 1) * STEP
+        torque = TORQUE if k - 1 >= JUMP else 0.0
+        plant.slave.setReal(plant.inputs, [torque])
+        plant.slave.doStep(t, STEP)
+        theta_e, omega_c, omega_p, y = plant.slave.getReal(plant.outputs)
+        (location,) = plant.slave.getInteger(plant.integers)
+        y = RPM * y
+        observer.slave.setReal(observer.inputs, [torque, y / RPM])
+        observer.slave.doStep(t, STEP)
+        estimates = observer.slave.getReal(observer.outputs)
+        rows[k] = torque, theta_e, omega_c, omega_p, location, y, y, *estimates
+
+
+def _check_equal(peer: str, ours: np.ndarray, theirs: np.ndarray) -> None:
+    if not np.array_equal(ours[1:], theirs[1:]):
+        apart = float(np.abs(ours[1:] - theirs[1:]).max())
+        raise RuntimeError(f"the rows of {peer} are not ours: {apart:.3g} apart, so their times say nothing")
