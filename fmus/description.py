@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from fmus.archive import unpack
 from fmus.component import ConfigurationError
@@ -119,18 +120,18 @@ def _described(folder: Path, sha256: str) -> FmuDescription:
 def _read(folder: Path) -> tuple[Any, list[str]]:
     """FMPy's model description, and the rules of the standard it breaks."""
     from fmpy.model_description import ValidationError, read_model_description
-    from lxml.etree import XMLSyntaxError
 
     file = folder / "modelDescription.xml"
     if not file.is_file():
         raise ConfigurationError("wants a modelDescription.xml at the top of the archive, found none")
-    if b"<!DOCTYPE" in file.read_bytes():
+    content = file.read_bytes()
+    if any("<!DOCTYPE".encode(encoding) in content for encoding in ("ascii", "utf-16-le", "utf-16-be")):
         raise ConfigurationError("the model description declares a document type or entities, which is refused")
     try:
         return read_model_description(folder, validate=True), []
     except ValidationError as error:
         broken = [str(problem) for problem in error.problems]
-    except XMLSyntaxError as error:
+    except SyntaxError as error:
         raise ConfigurationError(f"the model description is not XML: {error}") from error
     except Exception as error:  # FMPy raises plain Exception for a version or a build description it does not take
         broken = [str(error)]
@@ -142,24 +143,24 @@ def _read(folder: Path) -> tuple[Any, list[str]]:
 
 def _relative_quantities(folder: Path) -> frozenset[str]:
     """Names of the variables that are differences: their unit's offset does not apply. FMPy does not read this."""
-    from lxml import etree
-
-    if b"relativeQuantity" not in (folder / "modelDescription.xml").read_bytes():
+    file = folder / "modelDescription.xml"
+    if b"relativeQuantity" not in file.read_bytes():
         return frozenset()
-    root = etree.parse(folder / "modelDescription.xml").getroot()
-    true = ("true", "1")
-    types = {
-        element.get("name") or element.getparent().get("name")
-        for element in root.iterfind("TypeDefinitions//*[@relativeQuantity]")
-        if element.get("relativeQuantity") in true
-    }
-    names = set()
-    for variable in root.iterfind("ModelVariables/*"):
-        for element in (variable, *variable):
-            own = element.get("relativeQuantity")
-            if own in true or (own is None and element.get("declaredType") in types):
-                names.add(variable.get("name"))
-    return frozenset(names)
+    root = ElementTree.parse(file).getroot()
+    types: frozenset[str | None] = frozenset()
+    for folder_name in ("TypeDefinitions", "ModelVariables"):
+        types = frozenset(
+            element.get("name")
+            for element in root.iterfind(f"{folder_name}/*")
+            if any(_is_relative(part, types) for part in (element, *element))
+        )
+    return frozenset(name for name in types if name is not None)
+
+
+def _is_relative(element: ElementTree.Element, types: frozenset[str | None]) -> bool:
+    """True for what calls itself relative, or says nothing and is declared of a type that is."""
+    own = element.get("relativeQuantity")
+    return own in ("true", "1") if own is not None else element.get("declaredType") in types - {None}
 
 
 def _library(folder: Path, identifier: str, version: int) -> Path | None:

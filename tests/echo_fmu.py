@@ -31,7 +31,7 @@ count_out       1 <Integer/>
 temperature_out 2 <Real unit="degC"/>
 flag_out        2 <Boolean/>
 road_out        3 <Real unit="leagues/h"/>
-rise_out        4 <Real unit="degC" relativeQuantity="true"/>
+rise_out        4 <Real declaredType="difference"/>
 torque_out      5 <Real unit="N.m"/>
 wish_out        6 <Real unit="furlong"/>
 bare_out        7 <Real/>
@@ -48,6 +48,9 @@ _XML = """<?xml version="1.0" encoding="UTF-8"?>
 <Unit name="leagues/h"><BaseUnit m="1" s="-1" factor="1.543333"/></Unit>
 <Unit name="furlong"/><Unit name="N.m"/>
 </UnitDefinitions>
+<TypeDefinitions>
+<SimpleType name="difference"><Real unit="degC" relativeQuantity="true"/></SimpleType>
+</TypeDefinitions>
 <LogCategories><Category name="logStatusError"/><Category name="logEvents"/></LogCategories>
 <ModelVariables>{variables}</ModelVariables>
 <ModelStructure><Outputs>{outputs}</Outputs></ModelStructure>
