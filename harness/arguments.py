@@ -8,7 +8,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
 
 from fmus.component import Signal
 from fmus.units import Unit, UnitError, parse_unit
@@ -39,6 +39,20 @@ Bound = Annotated[
         {"type": ["string", "number"], "description": "number with a unit, or a signal that holds the bound"}
     ),
 ]
+
+
+_PAIR_SCHEMA = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
+
+
+def _short_form_too(*short: dict[str, Any]) -> ConfigDict:
+    """Lets the JSON Schema allow the short forms beside the mapping."""
+
+    def extend(schema: dict[str, Any]) -> None:
+        long = dict(schema)
+        schema.clear()
+        schema["anyOf"] = [*short, long]
+
+    return ConfigDict(json_schema_extra=extend)
 
 
 class Arguments(Strict):
@@ -74,6 +88,8 @@ class Errors(Arguments):
 
     e = estimate - truth for one pair, e = sqrt(sum_i ((estimate_i - truth_i)/scale_i)^2) for several.
     """
+
+    model_config = _short_form_too(_PAIR_SCHEMA, {"type": "array", "items": _PAIR_SCHEMA, "minItems": 1})
 
     pairs: list[Pair] = Field(min_length=1, description="[truth, estimate] each")
     scales: list[Quantity] | None = Field(None, description="one a pair: what each error is divided by")
@@ -192,6 +208,8 @@ class Convergence(Arguments):
 class Discrete(Arguments):
     """[truth, estimate] of discrete signals."""
 
+    model_config = _short_form_too(_PAIR_SCHEMA)
+
     pair: Pair
 
     @model_validator(mode="before")
@@ -210,6 +228,8 @@ class Discrete(Arguments):
 
 class One(Arguments):
     """One signal."""
+
+    model_config = _short_form_too({"type": "string"})
 
     signal: str
 

@@ -181,9 +181,9 @@ def _override(
         except PathError as error:
             problems.append(Problem(str(error), *place))
             continue
-        places = places.moved(target, place)
+        places = places.moved(target, place, place)
         if target[0] in SCENARIO_KEYS:
-            on_top.append(Setting(path.strip(), value, place))
+            on_top.append(Setting(path.strip(), value, place, place))
     return document, places, on_top
 
 
@@ -234,7 +234,10 @@ def _cases(
         raw_overrides, raw_axes = body.get("set") or {}, body.get("vary") or {}
         if not isinstance(raw_overrides, dict) or not isinstance(raw_axes, dict):
             continue
-        overrides = [Setting(path, value, places.of((*below, "set", path))) for path, value in raw_overrides.items()]
+        overrides = [
+            Setting(path, value, places.of((*below, "set", path)), places.of((*below, "set", path), places.keys))
+            for path, value in raw_overrides.items()
+        ]
         axes, found = read_axes(raw_axes, places, (*below, "vary"))
         problems += found
         fixed = {setting.name for setting in on_top}
@@ -270,7 +273,8 @@ def _criteria(document: Mapping[str, Any], places: Places, problems: list[Proble
     """The criteria, read as far as the metrics they speak of are in order."""
     metrics, broken = _metrics(document)
     known = results(metrics)
-    experiments = list(_mapping(document, "experiments")) or [""]
+    named = list(_mapping(document, "experiments"))
+    experiments = named or [""]
     written = document.get("accept")
     for index, entry in enumerate(written if isinstance(written, list) else ()):
         for experiment, text in entry.items() if isinstance(entry, dict) else [("", entry)]:
@@ -278,7 +282,7 @@ def _criteria(document: Mapping[str, Any], places: Places, problems: list[Proble
             if not isinstance(text, str):
                 continue
             if experiment and experiment not in experiments:
-                problems.append(places.key_problem(unknown(experiment, experiments, "experiment"), *where))
+                problems.append(places.key_problem(unknown(experiment, named, "experiment"), *where))
             try:
                 criterion = parse_criterion(text, known)
             except CriterionError as error:

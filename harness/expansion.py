@@ -29,11 +29,12 @@ class PathError(ValueError):
 
 
 class Setting(NamedTuple):
-    """A value to put at a path, and where it was written."""
+    """A value to put at a path, and where the value and the path were written."""
 
     name: str
     value: Any
     place: Place
+    key: Place
 
 
 @dataclass(frozen=True)
@@ -97,14 +98,14 @@ def apply(
     """The scenario with all settings put at their paths, the places that follow, and the paths that lead nowhere."""
     document = copy.deepcopy(dict(scenario))
     problems = []
-    for name, value, place in settings:
+    for name, value, place, key in settings:
         try:
             path = locate(name, document)
             put(document, path, copy.deepcopy(value))
         except PathError as error:
-            problems.append(Problem(f"{name}: {error}", *place))
+            problems.append(Problem(f"{name}: {error}", *key))
         else:
-            places = places.moved(path, place)
+            places = places.moved(path, place, key)
     return document, places, problems
 
 
@@ -126,7 +127,8 @@ def read_axes(raw: Any, places: Places, below: KeyPath) -> tuple[list[Axis], lis
             if not isinstance(together, list) or len(together) != len(names):
                 problems.append(Problem(f"vary {key}: wants {len(names)} values together, got {value!r}", *place))
                 continue
-            points.append(tuple(Setting(name, one, place) for name, one in zip(names, together, strict=True)))
+            named = places.of((*below, key), places.keys)
+            points.append(tuple(Setting(name, one, place, named) for name, one in zip(names, together, strict=True)))
         repeated = {name for name in names for axis in axes if name in axis.paths}
         problems += [places.key_problem(f"{name} is varied twice", *below, key) for name in sorted(repeated)]
         axes.append(Axis(names, tuple(points)))

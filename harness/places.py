@@ -49,11 +49,14 @@ class Places:
         """A Problem at the key that ends `path`."""
         return Problem(message, *self.of(path, self.keys))
 
-    def moved(self, path: KeyPath, place: Place) -> Places:
-        """The same places, but what is at `path` and below was written at `place`."""
+    def moved(self, path: KeyPath, place: Place, key: Place) -> Places:
+        """The same places, but what is at `path` and below was written at `place`, and asked for at `key`."""
         values = {known: spot for known, spot in self.values.items() if known[: len(path)] != path}
         keys = {known: spot for known, spot in self.keys.items() if known[: len(path)] != path}
-        return Places(self.file, values | {path: place}, keys | {path: place})
+        for made in (path[:length] for length in range(1, len(path))):
+            values.setdefault(made, key)
+            keys.setdefault(made, key)
+        return Places(self.file, values | {path: place}, keys | {path: key})
 
 
 def read_yaml(text: str, file: str = "") -> tuple[Any, Places]:

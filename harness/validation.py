@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, TypeVar
@@ -104,22 +105,43 @@ def _is_tag(token: str | int) -> bool:
 
 
 def _models_at(schema: type[BaseModel], location: tuple[str | int, ...]) -> list[type[BaseModel]]:
-    """The schemas of the mapping at `location`; keys of plain dicts and indices of lists pass through."""
-    models: list[type[BaseModel]] = [schema]
+    """The schemas that the mapping at `location` may have."""
+    annotations: list[Any] = [schema]
     for token in location:
         if _is_tag(token):
-            models = [PART_KINDS[str(token)]]
-            continue
-        fields = [
-            field for model in models for name, field in model.model_fields.items() if token in (field.alias, name)
-        ]
-        if fields:
-            models = [model for field in fields for model in _models_inside(field.annotation)]
-    return models
+            annotations = [PART_KINDS[str(token)]]
+        else:
+            annotations = [inner for one in annotations for inner in _inside(one, token)]
+    return [one for annotation in annotations for one in _plain(annotation) if _is_model(one)]
 
 
-def _models_inside(annotation: Any) -> Iterator[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+def _inside(annotation: Any, token: str | int) -> Iterator[Any]:
+    """What stands at a key or index of a value annotated so."""
+    for one in _plain(annotation):
+        arguments = typing.get_args(one)
+        if _is_model(one):
+            for name, field in one.model_fields.items():
+                if token in (field.alias, name):
+                    yield field.annotation
+        elif typing.get_origin(one) is dict:
+            yield arguments[1]
+        elif typing.get_origin(one) is tuple and isinstance(token, int) and token < len(arguments):
+            yield arguments[token]
+        elif typing.get_origin(one) is list:
+            yield arguments[0]
+
+
+def _plain(annotation: Any) -> Iterator[Any]:
+    """The members of a union, without what Annotated adds."""
+    origin = typing.get_origin(annotation)
+    if origin is typing.Annotated:
+        yield from _plain(typing.get_args(annotation)[0])
+    elif origin in (typing.Union, types.UnionType):
+        for member in typing.get_args(annotation):
+            yield from _plain(member)
+    else:
         yield annotation
-    for argument in typing.get_args(annotation):
-        yield from _models_inside(argument)
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
