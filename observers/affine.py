@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 # Relative size under which a singular value counts as zero: far above rounding, far below any designed quantity.
 NEGLIGIBLE = 1e-9
+# Fastest poles that a sample time bears, times that sample time: the pattern's real part decays by e^-2 a sample.
+FASTEST = 2.0
 
 
 class Sampled(NamedTuple):
@@ -108,7 +110,7 @@ def error_matrix(location: Location, gain: Array, scales: Array) -> Array:
 
 
 def overshoot(matrix: Array) -> float:
-    """n k(H): the factor in ||e^{Ht}|| <= n k(H) e^{alpha t} (Proposition 3.1.2); k = ||X|| ||X^-1||, unit eigenvectors."""
+    """n k(H) in ||e^{Ht}|| <= n k(H) e^{alpha t} (Proposition 3.1.2); k = ||X|| ||X^-1||, eigenvectors of norm 1."""
     return len(matrix) * float(np.linalg.cond(np.linalg.eig(matrix)[1]))
 
 

@@ -45,7 +45,7 @@ class Rule(NamedTuple):
 def nominal_automaton(plant: str, parameters: Mapping[str, Any] | None, parameter_set: str | None) -> Automaton:
     """The automaton of the plant module `plant`, which has MODEL and automaton(parameters).
 
-    The values are the model's defaults, overridden by its `parameter_set`, overridden by `parameters` (texts with units).
+    The values are the model's defaults, then those of its `parameter_set`, then `parameters` (texts with units).
 
     Raises ModelError: no such module, set or parameter, or a value of another dimension.
     """
@@ -90,6 +90,17 @@ def read_value(raw: Any, wanted: str, name: str) -> float:
     return target.from_si(source.to_si(number))
 
 
+def read_thresholds(threshold: dict[str, Any] | str, automaton: Automaton) -> Array:
+    """eps (p,) in the outputs' units. Raises ModelError: one is missing or of another dimension."""
+    if isinstance(threshold, dict):
+        values = read_values(threshold, automaton.outputs, "output")
+        missing = [signal.name for signal in automaton.outputs if signal.name not in values]
+        if missing:
+            raise ModelError(f"threshold wants a value for {', '.join(missing)}")
+        return np.array([values[signal.name] for signal in automaton.outputs])
+    return np.array([read_value(threshold, signal.unit, "threshold") for signal in automaton.outputs])
+
+
 def blind(automaton: Automaton) -> Automaton:
     """The same plant with nothing measured."""
     n = len(automaton.states)
@@ -120,7 +131,8 @@ def sampled_values(prefix: str, p: Values, count: int, outputs: int) -> list[Sam
     """The observers that `sampled_signals` declared."""
     nothing = np.zeros((count, p[f"{prefix}_state"].shape[1], 0))
     fields = {
-        name: nothing if name in ("before", "now") and not outputs else p[f"{prefix}_{name}"] for name in Sampled._fields
+        name: nothing if name in ("before", "now") and not outputs else p[f"{prefix}_{name}"]
+        for name in Sampled._fields
     }
     return [Sampled(**{name: value[k] for name, value in fields.items()}) for k in range(count)]
 

@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from fmus.hybrid import Automaton
+from fmus.hybrid import Automaton, Transition
 from fmus.model import ModelError
-from observers.affine import error_matrix, overshoot, scaled_location, slowest_gain, spectral_abscissa
+from observers.affine import NEGLIGIBLE, error_matrix, overshoot, scaled_location, slowest_gain, spectral_abscissa
 
 Array = NDArray[np.float64]
 
@@ -38,13 +38,17 @@ class Bound(NamedTuple):
 
     `published` Eq. 20 with V by Eq. 19 as printed; `ball` the corrected invariant ball at the instants a location
     is found; `peak` what the error stays under at all times once in that ball; `rate_radius` the error from which
-    on a dwell time shrinks it by e^{-mu D}. `drive_published` and `drive` are V by Eq. 19 and component by component, 1/s.
+    on a dwell time shrinks it by e^{-mu D}. `sharp` and `sharp_peak` are `ball` and `peak` with the matrix exponentials
+    themselves in place of n k(F) e^{alpha t}, and with a drive that grows from 0 where it vanishes on the guard.
+    `drive_published` and `drive` are V by Eq. 19 and component by component, 1/s.
     """
 
     published: float
     ball: float
     peak: float
     rate_radius: float
+    sharp: float
+    sharp_peak: float
     drive_published: float
     drive: float
 
@@ -87,13 +91,15 @@ def error_bound(
     rate: float,
     dwell: float,
     delay: float,
+    guard_speed: float = np.inf,
 ) -> Bound:
     """The radii that the error is proven to stay in, for |x_i| <= `state_bounds` (n,) and |u| <= `input_bounds` (m,).
 
+    `guard_speed` bounds |d/dt (normal . x)| where a guard is crossed, in scales per second.
     A radius is infinite where its denominator is not positive. Proposition 3.3.1, corrected as the module says.
     """
     published = ball = rate_radius = drive_published = drive = 0.0
-    slopes = []
+    slopes, sharp_slopes = [], []
     for number, (location, gain) in enumerate(zip(automaton.locations, gains, strict=True), start=1):
         matrix = error_matrix(location, gain, automaton.scales)
         factor, abscissa = overshoot(matrix), spectral_abscissa(matrix)
@@ -101,15 +107,20 @@ def error_bound(
         if not entered:
             continue
         printed = max(_printed_drive(automaton, gain, number, i, state_bounds, input_bounds) for i in entered)
-        tight = max(_drive(automaton, gain, number, i, state_bounds, input_bounds) for i in entered)
+        tight = max(
+            float(np.linalg.norm(_drive(automaton, gain, number, i, state_bounds, input_bounds))) for i in entered
+        )
         left = factor * np.exp(abscissa * (dwell - delay))
         published = max(published, _ratio(factor * printed * delay, 1.0 - np.exp(abscissa * dwell)))
         ball = max(ball, _ratio(factor * tight * delay, 1.0 - left))
         rate_radius = max(rate_radius, _ratio(factor * tight * delay, np.exp(-rate * dwell) - left))
         drive_published, drive = max(drive_published, printed), max(drive, tight)
         slopes.append((factor, factor * tight * delay))
+        sharp_slopes.append(_sharp(automaton, gain, number, state_bounds, input_bounds, dwell, delay, guard_speed))
     peak = max((factor * ball + driven for factor, driven in slopes), default=0.0)
-    return Bound(published, ball, peak, rate_radius, drive_published, drive)
+    sharp = max((_ratio(driven, 1.0 - left) for _, left, driven in sharp_slopes), default=0.0)
+    sharp_peak = max((largest * sharp + driven for largest, _, driven in sharp_slopes), default=0.0)
+    return Bound(published, ball, peak, rate_radius, sharp, sharp_peak, drive_published, drive)
 
 
 def _ratio(above: float, below: float) -> float:
@@ -127,30 +138,79 @@ def _printed_drive(automaton: Automaton, gain: Array, j: int, i: int, x: Array, 
     )
 
 
-def _drive(automaton: Automaton, gain: Array, j: int, i: int, x: Array, u: Array) -> float:
-    """Norm of the largest |v| component by component, over the states of location i within the bounds, and |u| <= U."""
-    there, here, scales = automaton.locations[i - 1], automaton.locations[j - 1], automaton.scales
-    rows = ((there.A - here.A) - gain @ (there.C - here.C)) / scales[:, None]
-    constants = (there.E - here.E) / scales
-    from_input = (np.abs(there.B - here.B) / scales[:, None]) @ u
+def _drive(automaton: Automaton, gain: Array, j: int, i: int, x: Array, u: Array) -> Array:
+    """Largest |v| component by component (n,), over the states of location i within the bounds, and |u| <= U."""
+    rows, constants, from_input = _scaled_drive(automaton, gain, j, i)
     leaving = [edge for edge in automaton.transitions if edge.source == i]
-    inside = {
-        "A_ub": np.array([edge.normal for edge in leaving]) if leaving else None,
-        "b_ub": np.array([-edge.offset for edge in leaving]) if leaving else None,
-    }
-    largest = np.zeros(len(scales))
-    for index, (row, constant, added) in enumerate(zip(rows, constants, from_input, strict=True)):
+    planes = np.array([edge.normal * x for edge in leaving]).reshape(-1, len(x))
+    sizes = np.linalg.norm(planes, axis=1)
+    outside = np.array([-edge.offset for edge in leaving])
+    inside = {"A_ub": planes / sizes[:, None], "b_ub": outside / sizes} if leaving else {}
+    largest = np.zeros(len(x))
+    for index, (row, constant, added) in enumerate(zip(rows, constants, np.abs(from_input) @ u, strict=True)):
         for sign in (1.0, -1.0):
-            found = linprog(-sign * row * x, bounds=[(-1.0, 1.0)] * len(x), **_within_box(inside, x))
+            found = linprog(-sign * row * x, bounds=[(-1.0, 1.0)] * len(x), **inside)
             if found.status == 0:
                 largest[index] = max(largest[index], -found.fun + sign * constant + added)
-    return float(np.linalg.norm(largest))
+    return largest
 
 
-def _within_box(inside: dict[str, Array | None], x: Array) -> dict[str, Array | None]:
-    """The half spaces in the coordinates x/bound, each row normalised."""
-    if inside["A_ub"] is None:
-        return inside
-    rows = inside["A_ub"] * x
-    size = np.linalg.norm(rows, axis=1)
-    return {"A_ub": rows / size[:, None], "b_ub": inside["b_ub"] / size}
+def _scaled_drive(automaton: Automaton, gain: Array, j: int, i: int) -> tuple[Array, Array, Array]:
+    """v = rows x + constants + inputs u, scaled: (n, n), (n,), (n, m)."""
+    there, here, scales = automaton.locations[i - 1], automaton.locations[j - 1], automaton.scales
+    rows = ((there.A - here.A) - gain @ (there.C - here.C)) / scales[:, None]
+    return rows, (there.E - here.E) / scales, (there.B - here.B) / scales[:, None]
+
+
+def _sharp(
+    automaton: Automaton, gain: Array, j: int, x: Array, u: Array, dwell: float, delay: float, guard_speed: float
+) -> tuple[float, float, float]:
+    """max_t ||e^{Ft}||, max_{t >= D - Delta} ||e^{Ft}||, and the largest error that v builds up within Delta.
+
+    Where v = q g(x) with g the guard that was crossed, v begins at 0 and grows no faster than |q| max |g'|. The drive
+    is integrated by the trapezoidal rule over |e^{Fs}|, component by component.
+    """
+    matrix = error_matrix(automaton.locations[j - 1], gain, automaton.scales)
+    values, vectors = np.linalg.eig(matrix)
+    inverse = np.linalg.inv(vectors)
+
+    def exponentials(times: Array) -> Array:
+        return ((vectors * np.exp(times[:, None, None] * values)) @ inverse).real
+
+    slow = -1.0 / spectral_abscissa(matrix)
+    norms = np.linalg.norm(exponentials(np.linspace(0.0, 10.0 * slow, 400)), 2, axis=(1, 2))
+    late = np.linalg.norm(exponentials(dwell - delay + np.linspace(0.0, 10.0 * slow, 400)), 2, axis=(1, 2))
+    times = np.linspace(0.0, delay, 201)
+    kernel = np.abs(exponentials(times))
+    driven = 0.0
+    for edge in automaton.transitions:
+        if edge.source != j:
+            continue
+        largest = _drive(automaton, gain, j, edge.target, x, u)
+        growth = _growth(automaton, gain, edge.target, edge, x, u, guard_speed)
+        for last in range(1, len(times)):
+            drive = np.minimum(largest, times[: last + 1, None] * growth)
+            pushed = np.einsum("tij,tj->ti", kernel[last::-1], drive)
+            driven = max(driven, float(np.linalg.norm(np.trapezoid(pushed, times[: last + 1], axis=0))))
+    return float(np.max(norms)), float(np.max(late)), driven
+
+
+def _growth(
+    automaton: Automaton, gain: Array, i: int, edge: Transition, x: Array, u: Array, guard_speed: float
+) -> Array:
+    """Largest rate of |v| by component (n,), scaled; infinite where v does not vanish on the guard's plane."""
+    rows, constants, from_input = _scaled_drive(automaton, gain, edge.source, i)
+    normal = edge.normal * automaton.scales
+    share = rows * automaton.scales @ normal / (normal @ normal)
+    rest = np.linalg.norm(rows * automaton.scales - np.outer(share, normal)) + np.linalg.norm(
+        constants - share * edge.offset
+    )
+    if rest > NEGLIGIBLE * max(float(np.linalg.norm(rows * automaton.scales)), 1.0) or np.any(from_input):
+        return np.full(len(x), np.inf)
+    location = automaton.locations[i - 1]
+    fastest = (
+        np.abs(edge.normal @ location.A) @ x
+        + np.abs(edge.normal @ location.B) @ u
+        + abs(float(edge.normal @ location.E))
+    )
+    return np.abs(share) * min(fastest, guard_speed * float(np.linalg.norm(normal)))

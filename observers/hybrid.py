@@ -10,26 +10,22 @@ import numpy as np
 from fmus.component import Signal
 from fmus.hybrid import Automaton
 from fmus.model import Model, ModelError, Values
-from observers.affine import advance, sample_observer
+from observers.affine import FASTEST, advance, sample_observer
 from observers.bank import (
     Instant,
     Rule,
     bank_model,
     measured_names,
     nominal_automaton,
-    read_value,
+    read_thresholds,
     read_values,
     sampled_signals,
     sampled_values,
-    vector,
 )
 from observers.convergence import Bound, design_gains, error_bound
 from observers.identification import Memory, Rules, graph_of, guard_planes, identify
 from observers.open_loop import deepest
 from observers.residuals import Signature, design_signatures, persist, residual, within
-
-# Fastest poles that a sample time bears: e^{-2} a sample for the real part of the pattern.
-FASTEST = 2.0
 
 
 def make(
@@ -47,6 +43,7 @@ def make(
     parameters: dict[str, Any] | None = None,
     parameter_set: str | None = None,
     start: dict[str, Any] | None = None,
+    guard_speed: Annotated[float, "1/s"] = np.inf,
     sample_time: Annotated[float, "s"] = 1e-3,
 ) -> Model:
     """Location observer (6)-(9), identification by graph and guards, continuous observer (15) by Proposition 3.3.1.
@@ -55,10 +52,11 @@ def make(
     observer believes. `threshold` eps of (8), one quantity or one by output. `delay` Delta and `entry_error` Z0
     (in the states' scales) of (9). `dwell` D and `rate` mu of Proposition 3.3.1, and `bounds` on |x| and |u| by name.
     `margin`, `patience` and `persistence` as in observers.identification and observers.residuals; `initial_location` 0
-    is unknown.
+    is unknown. `guard_speed` bounds how fast the plant crosses a guard, in scales per second; only M_0_sharp uses it.
 
     Outputs besides the estimates: `location`; r_j in the unit of y and sigma_j by signature class, named after the
-    class's last location; M_0 (Eq. 20 as published), M_0_corrected and M_0_peak in units of the scales.
+    class's last location; M_0 (Eq. 20 as published), M_0_corrected, M_0_peak and M_0_sharp in units
+    of the scales (observers.convergence.Bound).
 
     Raises ModelError: demands that contradict each other or that no gains meet, unknown names, wrong units.
     """
@@ -69,7 +67,7 @@ def make(
     gains = design_gains(automaton, rate, dwell, delay, fastest)
     largest = read_bounds(bounds, automaton)
     n = len(automaton.states)
-    bound = error_bound(automaton, gains, largest[:n], largest[n:], rate, dwell, delay)
+    bound = error_bound(automaton, gains, largest[:n], largest[n:], rate, dwell, delay, guard_speed)
     if not 0 <= initial_location <= len(automaton.locations):
         raise ModelError(f"initial_location wants 0 (unknown) to {len(automaton.locations)}, got {initial_location}")
     settle = float(np.ceil(delay / sample_time))
@@ -80,17 +78,6 @@ def make(
         "hybrid", "Hybrid observer: residuals locate, a switched Luenberger observer estimates",
         automaton, gains, rule, start or {}, sample_time,
     )  # fmt: skip
-
-
-def read_thresholds(threshold: dict[str, Any] | str, automaton: Automaton) -> np.ndarray:
-    """eps (p,) in the outputs' units. Raises ModelError: one is missing or of another dimension."""
-    if isinstance(threshold, dict):
-        values = read_values(threshold, automaton.outputs, "output")
-        missing = [signal.name for signal in automaton.outputs if signal.name not in values]
-        if missing:
-            raise ModelError(f"threshold wants a value for {', '.join(missing)}")
-        return np.array([values[signal.name] for signal in automaton.outputs])
-    return np.array([read_value(threshold, signal.unit, "threshold") for signal in automaton.outputs])
 
 
 def read_bounds(bounds: dict[str, Any], automaton: Automaton) -> np.ndarray:
@@ -108,6 +95,7 @@ def _bound_signals(bound: Bound) -> tuple[Signal, ...]:
         Signal("M_0", "1", bound.published, "Eq. 20 as published, in units of the scales"),
         Signal("M_0_corrected", "1", bound.ball, "Eq. 20 with the factor n k(F) kept, when a location is found"),
         Signal("M_0_peak", "1", bound.peak, "what the error stays under at all times, once within M_0_corrected"),
+        Signal("M_0_sharp", "1", bound.sharp_peak, "the same with the matrix exponentials themselves, at all times"),
     )
 
 

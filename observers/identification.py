@@ -101,9 +101,7 @@ def identify(graph: Graph, memory: Memory, holds: Sequence[Any], guards: Any, ru
     )
 
 
-def _best(
-    graph: Graph, here: int, holds: Sequence[Any], guards: Any, rules: Rules, searching: Any
-) -> tuple[Any, Any]:
+def _best(graph: Graph, here: int, holds: Sequence[Any], guards: Any, rules: Rules, searching: Any) -> tuple[Any, Any]:
     """Score and number of the best location to be in next when in `here`; the score is NEVER where none is better."""
     own = holds[graph.classes[here - 1]]
     best, target = np.where(searching, np.where(own > 0.5, depth(graph, here, guards), NEVER), NEVER), float(here)
