@@ -36,8 +36,7 @@ typedef struct {
 } Entry;
 
 typedef struct {
-    double time;   /* the communication point that messages are filed under */
-    size_t count;  /* messages that ever came; those beyond LOG_FIRST + LOG_LAST push out the middle */
+    size_t count; /* messages that ever came; those beyond LOG_FIRST + LOG_LAST push out the middle */
     Entry entries[LOG_FIRST + LOG_LAST];
 } Log;
 
@@ -65,6 +64,7 @@ typedef struct {
     void *instance;
     int failed; /* OK while the instance may be stepped, else the status that ended it: no call is made any more */
     int stage;  /* what was being done when the last status above WARNING came */
+    double time; /* the communication point that messages are filed under */
     const Block *inputs, *inputs_end; /* set before each step */
     Function do_step;
     const Block *outputs, *outputs_end; /* got after it */
@@ -83,11 +83,12 @@ typedef int (*Status2)(void *, int, void *);
 
 /* ---- messages ---- */
 
-static Entry *new_entry(Log *log, int status, const char *category)
+static Entry *new_entry(const Slave *slave, int status, const char *category)
 {
+    Log *log = slave->log;
     size_t n = log->count++;
     Entry *entry = &log->entries[n < LOG_FIRST ? n : LOG_FIRST + (n - LOG_FIRST) % LOG_LAST];
-    entry->time = log->time;
+    entry->time = slave->time;
     entry->status = status;
     snprintf(entry->category, CATEGORY_SIZE, "%s", category ? category : "");
     return entry;
@@ -119,12 +120,12 @@ static bool is_plain(const char *format)
     return !conversion && !strchr(format, '%');
 }
 
-EXPORT void fmi2_log(void *log, const char *instance, int status, const char *category, const char *format, ...)
+EXPORT void fmi2_log(void *slave, const char *instance, int status, const char *category, const char *format, ...)
 {
     (void)instance;
-    if (!log)
+    if (!slave)
         return;
-    Entry *entry = new_entry(log, status, category);
+    Entry *entry = new_entry(slave, status, category);
     int length;
     if (!format || is_plain(format)) {
         length = snprintf(entry->message, MESSAGE_SIZE, "%s", format ? format : "");
@@ -137,11 +138,11 @@ EXPORT void fmi2_log(void *log, const char *instance, int status, const char *ca
     mark_cut(entry, length);
 }
 
-EXPORT void fmi3_log(void *log, int status, const char *category, const char *message)
+EXPORT void fmi3_log(void *slave, int status, const char *category, const char *message)
 {
-    if (!log)
+    if (!slave)
         return;
-    Entry *entry = new_entry(log, status, category);
+    Entry *entry = new_entry(slave, status, category);
     mark_cut(entry, snprintf(entry->message, MESSAGE_SIZE, "%s", message ? message : ""));
 }
 
@@ -157,11 +158,17 @@ EXPORT void fmi2_free(void *memory)
 
 /* ---- values ---- */
 
-/* The nearest integer, kept inside the type's range; a NaN becomes the lowest. */
+/* The nearest integer, kept inside the type's range; a NaN becomes the lowest. What is a whole number, as nearly all
+ * are, is spared the call of nearbyint. */
 #define NARROW(T, LOW, HIGH)                                                                                           \
     for (size_t i = 0; i < n; i++) {                                                                                   \
-        double v = nearbyint(from[i]);                                                                                 \
-        ((T *)to)[i] = !(v > (double)(LOW)) ? (LOW) : v >= (double)(HIGH) ? (HIGH) : (T)v;                             \
+        double v = from[i];                                                                                            \
+        T whole = v > (double)(LOW) && v < (double)(HIGH) ? (T)v : (LOW);                                              \
+        if ((double)whole != v) {                                                                                      \
+            v = nearbyint(v);                                                                                          \
+            whole = !(v > (double)(LOW)) ? (LOW) : v >= (double)(HIGH) ? (HIGH) : (T)v;                                \
+        }                                                                                                              \
+        ((T *)to)[i] = whole;                                                                                          \
     }                                                                                                                  \
     break
 
@@ -337,7 +344,7 @@ static inline int advance(int version, Slave *slave, double t, double h, const d
 {
     if (slave->failed)
         return slave->failed;
-    slave->log->time = t;
+    slave->time = t;
     int written = write_blocks(version, slave, slave->inputs, slave->inputs_end, u);
     if (written > WARNING)
         return written;

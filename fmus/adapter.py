@@ -70,7 +70,7 @@ class _Entry(ctypes.Structure):
 
 
 class _Log(ctypes.Structure):
-    _fields_ = (("time", c_double), ("count", c_size_t), ("entries", _Entry * (_LOG_FIRST + _LOG_LAST)))
+    _fields_ = (("count", c_size_t), ("entries", _Entry * (_LOG_FIRST + _LOG_LAST)))
 
 
 class _Conversion(ctypes.Structure):
@@ -99,6 +99,7 @@ class _Table(ctypes.Structure):
         ("instance", c_void_p),
         ("failed", c_int),
         ("stage", c_int),
+        ("time", c_double),
         ("inputs", c_void_p),
         ("inputs_end", c_void_p),
         ("do_step", c_void_p),
@@ -150,7 +151,6 @@ class Adapter:
                 function("GetBooleanStatus"),
             )
         self._memory: dict[str, list[Any]] = {}
-        self.environment = addressof(self._log)
         self.self = addressof(self._table)
         self.step = getattr(_library(), f"fmi{version}_step")
         self.write = getattr(_library(), f"fmi{version}_write")
@@ -180,7 +180,7 @@ class Adapter:
 
     def renew(self, t0: float) -> None:
         """Forget what the last instance said and where it stopped."""
-        self._log.count, self._log.time = 0, t0
+        self._log.count, self._table.time = 0, t0
         self._table.terminated, self._table.last_successful_time = 0, math.nan
 
     def log(self) -> list[Message]:

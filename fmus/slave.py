@@ -130,7 +130,7 @@ class Slave:
             logger=fmi2.fmi2CallbackLoggerTYPE(callback("fmi2_log")),
             allocateMemory=fmi2.fmi2CallbackAllocateMemoryTYPE(callback("fmi2_allocate")),
             freeMemory=fmi2.fmi2CallbackFreeMemoryTYPE(callback("fmi2_free")),
-            componentEnvironment=self.adapter.environment,
+            componentEnvironment=self.adapter.self,
         )
 
     def _instantiate(self, t0: float) -> None:
@@ -144,7 +144,7 @@ class Slave:
             log, intermediate_update = self._callbacks
             instance = self._fmu.fmi3InstantiateCoSimulation(
                 *(name, token, folder, False, False, False, False, (c_uint32 * 0)(), 0),
-                *(self.adapter.environment, log, intermediate_update),
+                *(self.adapter.self, log, intermediate_update),
             )
         if not instance:
             raise self._error(f"fmi{self._version}Instantiate gave nothing: {self._last_words()}", t0, ERROR)

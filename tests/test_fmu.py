@@ -317,3 +317,15 @@ def test_an_fmu_without_co_simulation_is_told_apart(tmp_path: Path):
     description = describe(path)
     assert description.kinds == ("me",)
     assert description.reasons == ("it offers no Co-Simulation, the only kind that is run",)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_fmus_complaint_reaches_the_error_and_the_log(fmi: int, capfd: pytest.CaptureFixture[str]):
+    component = load_fmu(reference_fmu("Dahlquist", fmi), name="plant")
+    component.start(5.0, np.empty(0))
+    with pytest.raises(StepError, match=r"plant at t = 5 s: error: doing the step: Communication step size") as raised:
+        component.step(5.0, -0.1, np.empty(0))
+    assert raised.value.status == ERROR
+    assert [(message.time, message.status) for message in component.log] == [(5.0, ERROR)]
+    component.close()
+    assert capfd.readouterr() == ("", "")
