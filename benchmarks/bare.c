@@ -42,11 +42,11 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
  * sensor's value, and the observer's three estimates. The source jumps from 0 to `torque` at step `jump`. */
 EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double h, double torque, int64_t jump,
                     double rpm, double *rows) {
-    for (int64_t k = 1; k <= steps; k++) {
-        const double t = (double)(k - 1) * h;
+    for (int64_t k = 0; k < steps; k++) {
+        const double t = (double)k * h;
         double *row = rows + 10 * k, measured[2];
         int location, status;
-        row[0] = k - 1 >= jump ? torque : 0.0;
+        row[0] = k >= jump ? torque : 0.0;
         status = plant->set_real(plant->instance, plant->inputs, 1, row);
         status |= plant->do_step(plant->instance, t, h, 1);
         status |= plant->get_real(plant->instance, plant->outputs, 4, row + 1);

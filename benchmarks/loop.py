@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Callable
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from benchmarks.measure import Measure, side_by_side
 from fmus.export import cached_fmu
 from fmus.plants import driveline
 from fmus.units import parse_unit
-from harness.run import run
+from harness.run import StartedSystem, run
 from harness.scenario import Scenario
 from harness.wiring import System, wire
 
@@ -46,83 +45,71 @@ def plant_and_two_native_parts(steps: int) -> System:
     return wire(scenario)
 
 
-def beside_bare_c(steps: int = 200_000, rounds: int = 15) -> Measure:
-    """A whole run, its rows allocated and its parts started, beside the same work in a C loop of fixed places.
+def beside_bare_c(steps: int = 20_000, rounds: int = 100) -> Measure:
+    """The loop from its first instant to its last, parts started and rows allocated, beside a C loop of fixed places.
 
     Raises RuntimeError: the rows of the two are not equal bit for bit.
     """
+    ours_rows, peer_rows = np.empty((steps, COLUMNS)), np.empty((steps, COLUMNS))
+    plant, observer = _direct_fmus()
+    bare = bare_library()
     with plant_and_two_native_parts(steps) as system:
-        ours, ours_rows = _ours(system)
-        bare = bare_library()
-        plant, observer = _direct_fmus()
-        peer_rows: list[np.ndarray] = []
+
+        def ours() -> float:
+            started = StartedSystem(system)
+            begin = time.process_time()
+            reached = started.advance(0, steps, ours_rows)
+            elapsed = time.process_time() - begin
+            if reached != steps:
+                raise RuntimeError(f"the loop ended at instant {reached}: {started.failure}")
+            return elapsed / steps
 
         def peer() -> float:
-            peer_rows.clear()
-            begin = time.process_time()
-            rows = np.empty((steps + 1, COLUMNS))
             tables = (plant.start().for_c(), observer.start().for_c())
-            status = bare.run_bare(
-                *(ctypes.byref(table) for table in tables),
-                ctypes.c_int64(steps),
-                ctypes.c_double(STEP),
-                ctypes.c_double(TORQUE),
-                ctypes.c_int64(JUMP),
-                ctypes.c_double(RPM),
-                ctypes.c_void_p(rows.ctypes.data),
-            )
+            numbers = (ctypes.c_int64(steps), ctypes.c_double(STEP), ctypes.c_double(TORQUE), ctypes.c_int64(JUMP))
+            rows = ctypes.c_void_p(peer_rows.ctypes.data)
+            begin = time.process_time()
+            status = bare.run_bare(*(ctypes.byref(table) for table in tables), *numbers, ctypes.c_double(RPM), rows)
             elapsed = time.process_time() - begin
             if status:
                 raise RuntimeError(f"the bare loop ended in the status {status}")
-            peer_rows.append(rows)
             return elapsed / steps
 
         times = side_by_side(ours, peer, rounds)
-        _check_equal("the bare loop", ours_rows[0], peer_rows[0])
+    _check_equal("the bare loop", ours_rows, peer_rows)
     plant.close()
     observer.close()
     return Measure("loop, plant and two native parts", *times, "bare C loop, same FMUs", 1.15)
 
 
-def beside_fmpy(steps: int = 20_000, rounds: int = 5) -> Measure:
-    """A whole run beside a Python loop that makes the same calls on the same FMUs through FMPy.
+def beside_fmpy(steps: int = 10_000, rounds: int = 5) -> Measure:
+    """A whole run, start and allocation included, beside a Python loop that makes the same calls through FMPy.
 
     Raises RuntimeError: the rows of the two are not equal bit for bit.
     """
+    rows = {"ours": np.empty(0), "peer": np.empty((steps, COLUMNS))}
+    plant, observer = _direct_fmus()
     with plant_and_two_native_parts(steps) as system:
-        ours, ours_rows = _ours(system)
-        plant, observer = _direct_fmus()
-        peer_rows: list[np.ndarray] = []
+
+        def ours() -> float:
+            begin = time.process_time()
+            record = run(system)
+            elapsed = time.process_time() - begin
+            if record.outcome != "ok":
+                raise RuntimeError(f"{record.outcome}: {record.message}")
+            rows["ours"] = record.values[1:]
+            return elapsed / steps
 
         def peer() -> float:
             begin = time.process_time()
-            rows = np.empty((steps + 1, COLUMNS))
-            _step_through_fmpy(plant.start(), observer.start(), rows)
-            elapsed = time.process_time() - begin
-            peer_rows[:] = [rows]
-            return elapsed / steps
+            _step_through_fmpy(plant.start(), observer.start(), rows["peer"])
+            return (time.process_time() - begin) / steps
 
         times = side_by_side(ours, peer, rounds)
-        _check_equal("the loop through FMPy", ours_rows[0], peer_rows[0])
+    _check_equal("the loop through FMPy", rows["ours"], rows["peer"])
     plant.close()
     observer.close()
     return Measure("loop, plant and two native parts", *times, "FMPy's calls, same FMUs", 1 / 10)
-
-
-def _ours(system: System) -> tuple[Callable[[], float], list[np.ndarray]]:
-    kept: list[np.ndarray] = []
-
-    def timed() -> float:
-        kept.clear()
-        begin = time.process_time()
-        record = run(system)
-        elapsed = time.process_time() - begin
-        if record.outcome != "ok":
-            raise RuntimeError(f"{record.outcome}: {record.message}")
-        kept.append(record.values)
-        return elapsed / system.grid.steps
-
-    return timed, kept
 
 
 def _direct_fmus() -> tuple[DirectFmu, DirectFmu]:
@@ -131,9 +118,9 @@ def _direct_fmus() -> tuple[DirectFmu, DirectFmu]:
 
 
 def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) -> None:
-    for k in range(1, len(rows)):
-        t = (k - 1) * STEP
-        torque = TORQUE if k - 1 >= JUMP else 0.0
+    for k in range(len(rows)):
+        t = k * STEP
+        torque = TORQUE if k >= JUMP else 0.0
         plant.slave.setReal(plant.inputs, [torque])
         plant.slave.doStep(t, STEP)
         theta_e, omega_c, omega_p, y = plant.slave.getReal(plant.outputs)
@@ -146,6 +133,6 @@ def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) 
 
 
 def _check_equal(peer: str, ours: np.ndarray, theirs: np.ndarray) -> None:
-    if not np.array_equal(ours[1:], theirs[1:]):
-        apart = float(np.abs(ours[1:] - theirs[1:]).max())
+    if not np.array_equal(ours, theirs):
+        apart = float(np.abs(ours - theirs).max())
         raise RuntimeError(f"the rows of {peer} are not ours: {apart:.3g} apart, so their times say nothing")
