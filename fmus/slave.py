@@ -9,7 +9,7 @@ from ctypes import c_uint32
 from typing import Any
 
 from fmus.adapter import PASSAGES, Adapter, address, callback
-from fmus.component import ERROR, FATAL, OK, WARNING, ConfigurationError, StepError, Vector
+from fmus.component import DISCARD, ERROR, FATAL, OK, WARNING, ConfigurationError, StepError, Vector
 from fmus.description import FmuDescription
 from fmus.variable import Variable
 
@@ -74,7 +74,7 @@ class Slave:
         what = _STAGES[table.stage]
         if table.terminated:
             what += f", the FMU asked to end at t = {table.last_successful_time:.9g} s"
-        elif not math.isnan(table.last_successful_time):
+        elif status == DISCARD and not math.isnan(table.last_successful_time):
             what += f", done up to t = {table.last_successful_time:.9g} s"
         return self._error(f"{what}: {self._last_words()}", time, status)
 
