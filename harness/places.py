@@ -14,7 +14,7 @@ from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from fmus.component import ConfigurationError, Problem
 
 KeyPath = tuple[str | int, ...]
-MOST_VALUES = 1_000_000
+MOST_VALUES = 100_000
 
 
 class Place(NamedTuple):
