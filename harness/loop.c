@@ -1,12 +1,31 @@
 /* The step loop: steps a table of parts over a flat bus of doubles and records rows of it. */
+#define _POSIX_C_SOURCE 199309L
 #include <float.h>
 #include <stdint.h>
 
 #ifdef _WIN32
+#include <windows.h>
 #define EXPORT __declspec(dllexport)
+static double seconds(void)
+{
+    LARGE_INTEGER count, rate;
+    QueryPerformanceCounter(&count);
+    QueryPerformanceFrequency(&rate);
+    return (double)count.QuadPart / (double)rate.QuadPart;
+}
 #else
+#include <time.h>
 #define EXPORT __attribute__((visibility("default")))
+static double seconds(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
 #endif
+
+/* One instant in so many is timed: a prime, so that parts of every period have their share. */
+enum { TIMED = 61 };
 
 /* FMI's numbers of a status; DIVERGED is ours. */
 enum { OK = 0, WARNING = 1, FATAL = 4, DIVERGED = 5 };
@@ -24,6 +43,8 @@ typedef struct {
     int64_t outputs;
     int64_t period;        /* in steps of the clock */
     int64_t warnings;      /* counted here */
+    int64_t timed;         /* steps that were timed, and how long they took [s] */
+    double wall;
 } Part;
 
 typedef struct {
@@ -52,12 +73,18 @@ EXPORT int crankbench_advance(const Loop *loop, int64_t from, int64_t to, double
     const int64_t columns = loop->columns, count = loop->count;
 
     for (int64_t k = from + 1; k <= to; k++) {
+        const int timed = k % TIMED == 0;
         for (int64_t i = 0; i < count; i++) {
             Part *part = &loop->parts[i];
             const int64_t n = part->period;
             if (n != 1 && k % n != 0) continue;
             for (int64_t j = 0; j < part->gathers; j++) part->gathered[j] = bus[part->inputs[j]];
+            const double begin = timed ? seconds() : 0.0;
             const int status = part->step(part->self, t0 + (double)(k - n) * h, (double)n * h, part->u, part->y);
+            if (timed) {
+                part->wall += seconds() - begin;
+                part->timed++;
+            }
             if (status != OK) {
                 if (status != WARNING) {
                     stop->part = i;

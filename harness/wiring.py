@@ -254,9 +254,9 @@ def _assemble(
 def _fetch_only(built: Mapping[str, _Built], needed: Iterable[str]) -> None:
     """Spares FMUs the outputs that are neither wired nor recorded."""
     by_part: dict[str, list[str]] = {name: [] for name in built}
-    for name in needed:
-        part, _, output = name.partition(".")
-        by_part[part].append(output)
+    for signal in needed:
+        name, _, output = signal.partition(".")
+        by_part[name].append(output)
     for name, part in built.items():
         select = getattr(part.component, "select_outputs", None)
         if select is not None:

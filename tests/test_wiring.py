@@ -411,7 +411,7 @@ def test_a_missing_wire_points_to_the_part() -> None:
     places = Places("file.yaml", {("parts", "observer"): Place("file.yaml", 7, 3)})
     parts = changed("observer", wires={"y": "encoder"})
     clock = {"time": {"step": "1 ms", "stop": "10 ms"}}
-    with pytest.raises(ConfigurationError, match="file.yaml:7:3: observer.location wants a wire"):
+    with pytest.raises(ConfigurationError, match=r"file\.yaml:7:3: observer\.location wants a wire"):
         wire(Scenario.model_validate({"clock": clock, "parts": parts}), places)
 
 
