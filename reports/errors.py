@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reports.folder import Case, Run
-from reports.signals import Column, Vector, from_si, read_columns, recorded
+from reports.signals import Vector, from_si, read_recorded
 from reports.standing import definitions
 
 # Samples a histogram keeps of a truth and estimate; beyond it every n-th of a case is taken, and the report says so.
@@ -67,17 +67,15 @@ def pool(run: Run) -> tuple[list[Errors], list[Confusion]]:
     A case that failed counts up to its failure. Only the columns needed are read, each file once.
     """
     wanted = pairs(run)
+    names = {name for pair in wanted for name in (pair.truth, pair.estimate)}
     errors: dict[Pair, list[Vector]] = {pair: [] for pair in wanted}
     counts: dict[Pair, Counter[tuple[int, int]]] = {pair: Counter() for pair in wanted}
     cases: Counter[Pair] = Counter()
     units: dict[Pair, str] = {}
     stride = 1
     for case in run.cases:
-        available = set(recorded(run, case))
-        here = [pair for pair in wanted if {pair.truth, pair.estimate} <= available]
-        if not here:
-            continue
-        columns = read_columns(run, case, sorted({name for pair in here for name in pair[:2]}))
+        columns = read_recorded(run, case, names)
+        here = [pair for pair in wanted if {pair.truth, pair.estimate} <= columns.signals.keys()]
         stride = max(stride, -(-len(columns.time) * len(run.cases) // SAMPLES_KEPT))
         for pair in here:
             truth, estimate = (
@@ -89,7 +87,7 @@ def pool(run: Run) -> tuple[list[Errors], list[Confusion]]:
             )
             cases[pair] += 1
             if truth.discrete:
-                counts[pair].update(_crossings(truth, estimate, rows))
+                counts[pair].update(_crossings(truth.values[rows], estimate.values[rows]))
             else:
                 units[pair] = truth.display_unit
                 errors[pair].append((estimate.values - truth.values)[rows[::stride]])
@@ -111,10 +109,9 @@ def _scaled(pieces: Sequence[Vector], unit: str) -> Vector:
     return from_si(together, unit) - from_si(np.zeros(1), unit)
 
 
-def _crossings(truth: Column, estimate: Column, rows: np.ndarray) -> Counter[tuple[int, int]]:
-    both = np.rint(np.stack([truth.values[rows], estimate.values[rows]])).astype(int)
-    found, times = np.unique(both, axis=1, return_counts=True)
-    return Counter({(int(true), int(seen)): int(n) for (true, seen), n in zip(found.T, times, strict=True)})
+def _crossings(truth: Vector, estimate: Vector) -> Counter[tuple[int, int]]:
+    pairs_seen, times = np.unique(np.rint(truth) + 1j * np.rint(estimate), return_counts=True)
+    return Counter({(int(pair.real), int(pair.imag)): int(n) for pair, n in zip(pairs_seen, times, strict=True)})
 
 
 def _confusion(pair: Pair, counted: Counter[tuple[int, int]], cases: int) -> Confusion:

@@ -133,6 +133,8 @@ def error_histograms(errors: Sequence[Errors], titles: Sequence[str], colours: S
             counts, _ = np.histogram(np.clip(pooled.values, -reach, reach), edges)
             axis.stairs(100 * counts / total, edges, fill=True, color=colour, alpha=0.85)
             axis.set_yscale("log")
+            axis.minorticks_off()
+            axis.set_yticks([0.001, 0.1, 10], labels=["0.001", "0.1", "10"])
             axis.set_ylim(bottom=1e-3, top=100)
             axis.axvline(0.0, color=INK, linewidth=0.7)
             _corner(axis, f"{title}: {_spread(pooled.values, unit)}")

@@ -61,8 +61,8 @@ class Case:
     @property
     def scenario(self) -> str:
         """What was varied but the seed: the experiment and the values, as one line."""
-        varied = [f"{path} = {text}" for path, text in self.values.items() if path != "seed"]
-        return " · ".join([*([self.experiment] if self.experiment else []), *varied]) or "as declared"
+        varied = ", ".join(f"{path} = {text}" for path, text in self.values.items() if path != "seed")
+        return ": ".join(part for part in (self.experiment, varied) if part) or "as declared"
 
 
 @dataclass(frozen=True)
@@ -248,8 +248,8 @@ def _read_case(folder: Path, entry: Any) -> Case:
         part=str(found.get("part") or ""),
         failed_at=_number(found.get("failed_at")),
         message=str(found.get("message") or ""),
-        metrics={name: _measured(path, name, metric) for name, metric in (found.get("metrics") or {}).items()},
-        samples={name: tuple(map(_number, values)) for name, values in (found.get("samples") or {}).items()},
+        metrics=_all_measured(path, found.get("metrics") or {}),
+        samples={name: tuple(map(_sample, values)) for name, values in (found.get("samples") or {}).items()},
         starts=found.get("starts") or {},
         wall=found.get("wall") or {},
         warnings=tuple(found.get("warnings") or ()),
@@ -258,6 +258,17 @@ def _read_case(folder: Path, entry: Any) -> Case:
         held=tuple(found.get("held") or ()),
         fmus=found.get("fmus") or {},
     )
+
+
+def _all_measured(path: Path, found: Mapping[str, Any]) -> dict[str, Measured]:
+    """The metrics by name. JSON has no infinity: a delay that is null where changes were missed is infinite."""
+    metrics = {name: _measured(path, name, metric) for name, metric in found.items()}
+    for name, metric in metrics.items():
+        base, _, part = name.rpartition(".")
+        missed = metrics.get(f"{base}.missed", Measured(0.0)).value
+        if part in ("delay_median", "delay_p95") and math.isnan(metric.value) and missed > 0:
+            metrics[name] = Measured(math.inf, metric.unit)
+    return metrics
 
 
 def _measured(path: Path, name: str, metric: Any) -> Measured:
@@ -278,6 +289,11 @@ def _read(path: Path, wanted: type) -> Any:
 
 def _number(raw: Any) -> float:
     return float(raw) if isinstance(raw, (int, float)) else math.nan
+
+
+def _sample(raw: Any) -> float:
+    """A sample; null is one that never came, like the delay of a missed change."""
+    return math.inf if raw is None else _number(raw)
 
 
 def _texts(raw: Mapping[str, Any] | None) -> dict[str, str]:

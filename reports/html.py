@@ -23,8 +23,9 @@ from reports.interactive import interactive, points_a_trace
 from reports.traces import TRUTH_COLOUR, Figure, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
-# More scenarios than this are drawn by experiment only; more cases than this are listed in metrics.csv only.
-SCENARIOS_DRAWN, CASES_LISTED = 40, 2000
+# More scenarios than this are drawn by experiment only; more cases than this are listed in metrics.csv only; a signal of
+# more values than this has no confusion matrix drawn.
+SCENARIOS_DRAWN, CASES_LISTED, VALUES_DRAWN = 40, 2000, 15
 
 
 def write_report(folder: Path | str) -> Path:
@@ -83,7 +84,8 @@ def render(run: Run) -> str:
         plotly=Markup(get_plotlyjs()) if any(plots) else "",
         histograms=_histograms(run, errors),
         confusions=[
-            (matrix, Markup(figures.confusion(matrix, f"confusion{n}"))) for n, matrix in enumerate(confusions)
+            (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.values) <= VALUES_DRAWN else "")
+            for n, matrix in enumerate(confusions)
         ],
         detections=_detections(run),
         delays=_delays(run),
@@ -97,6 +99,8 @@ def render(run: Run) -> str:
         solver=solver,
         starts=starts,
         tolerated=provenance.tolerated(run),
+        traces=provenance.traces,
+        experiments=run.campaign.get("experiments") or {},
     )
 
 

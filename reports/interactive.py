@@ -12,7 +12,7 @@ from reports.signals import Vector, envelope
 from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, Panel, Trace, Window
 
 # Points one interactive trace may have, and all of a page together.
-POINTS, PAGE_POINTS = 4000, 160_000
+POINTS, PAGE_POINTS = 6000, 150_000
 
 
 def interactive(figure: Figure, points: int) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from reports.folder import Run
+from reports.folder import Case, Run
 from reports.numbers import duration, short
 
 
@@ -87,8 +87,13 @@ def tolerated(run: Run) -> list[Tolerated]:
     """Warnings and log messages that did not end a case, each once with the number of cases it came in."""
     counted: Counter[str] = Counter()
     for case in run.cases:
-        counted.update({_message(entry) for entry in (*case.warnings, *case.log)})
+        counted.update({_message(entry) for entry in (*case.warnings, *case.log) if not _is_trace(entry)})
     return [Tolerated(message, cases) for message, cases in counted.most_common()]
+
+
+def traces(case: Case) -> str:
+    """What a part written in Python printed as it failed."""
+    return "\n".join(str(entry.get("text", "")) for entry in case.log if _is_trace(entry)).strip()
 
 
 def ranges(seeds: Any) -> str:
@@ -105,10 +110,15 @@ def ranges(seeds: Any) -> str:
     return ", ".join(str(group[0]) if len(group) == 1 else f"{group[0]}..{group[-1]}" for group in runs)
 
 
+def _is_trace(entry: Any) -> bool:
+    return isinstance(entry, Mapping) and entry.get("category") == "trace"
+
+
 def _message(entry: Any) -> str:
     if isinstance(entry, Mapping):
-        head = " ".join(str(entry[key]) for key in ("part", "category", "status") if entry.get(key) not in (None, ""))
-        return f"{head}: {entry.get('message', _words(entry))}" if head else str(entry.get("message", _words(entry)))
+        head = ", ".join(str(entry[key]) for key in ("part", "category") if entry.get(key) not in (None, ""))
+        said = str(entry.get("text") or entry.get("message") or _words(entry))
+        return f"{head}: {said}" if head else said
     if isinstance(entry, (list, tuple)):
         return " ".join(str(item) for item in entry)
     return str(entry)

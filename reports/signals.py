@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -51,32 +52,33 @@ class Columns:
     signals: Mapping[str, Column]
 
 
-def recorded(run: Run, case: Case) -> list[str]:
-    """Names of the signals recorded for a case, `time` left out; none where the case left no record."""
-    path = run.path / "cases" / case.key / "signals.parquet"
-    return [name for name in _schema(path).names if name != "time"] if path.is_file() else []
-
-
 def read_columns(run: Run, case: Case, names: Sequence[str] | None = None) -> Columns:
     """The signals `names` of a case, all where None.
 
     Raises RunFolderError: the case left no record, or the file is damaged. Raises KeyError with the nearest name: a
     signal was not recorded.
     """
-    path = run.path / "cases" / case.key / "signals.parquet"
+    path = _path(run, case)
     if not path.is_file():
         raise RunFolderError(f"{path} is missing: case {case.label} ({case.outcome}) left no record")
-    known = _schema(path).names
-    for name in names or ():
-        if name not in known:
-            raise KeyError(unknown(name, known, "recorded signal"))
-    wanted = None if names is None else list(dict.fromkeys(["time", *names]))
-    try:
-        table = pq.read_table(path, columns=wanted, use_threads=False, memory_map=True)
-    except (OSError, pa.ArrowException) as error:
-        raise RunFolderError(f"{path}: wants Parquet, got {error}") from error
-    signals = {name: _column(table, name) for name in table.column_names if name != "time"}
-    return Columns(table.column("time").to_numpy().astype(float), signals)
+    with _open(path) as file:
+        known = file.schema_arrow.names
+        for name in names or ():
+            if name not in known:
+                raise KeyError(unknown(name, known, "recorded signal"))
+        return _columns(file, known if names is None else names)
+
+
+def read_recorded(run: Run, case: Case, names: Collection[str]) -> Columns:
+    """Those of the signals `names` that were recorded for a case; none where it left no record.
+
+    Raises RunFolderError: the file is damaged.
+    """
+    path = _path(run, case)
+    if not path.is_file():
+        return Columns(np.empty(0), {})
+    with _open(path) as file:
+        return _columns(file, [name for name in file.schema_arrow.names if name in names])
 
 
 def envelope(time: Vector, values: Vector, points: int) -> tuple[Vector, Vector]:
@@ -113,11 +115,21 @@ def same_dimension(first: str, second: str) -> bool:
         return False
 
 
-def _schema(path: object) -> pa.Schema:
+def _path(run: Run, case: Case) -> Path:
+    return run.path / "cases" / case.key / "signals.parquet"
+
+
+def _open(path: Path) -> pq.ParquetFile:
     try:
-        return pq.read_schema(path)
+        return pq.ParquetFile(path, memory_map=True)
     except (OSError, pa.ArrowException) as error:
         raise RunFolderError(f"{path}: wants Parquet, got {error}") from error
+
+
+def _columns(file: pq.ParquetFile, names: Sequence[str]) -> Columns:
+    table = file.read(columns=list(dict.fromkeys(["time", *names])), use_threads=False)
+    signals = {name: _column(table, name) for name in table.column_names if name != "time"}
+    return Columns(table.column("time").to_numpy().astype(float), signals)
 
 
 def _column(table: pa.Table, name: str) -> Column:

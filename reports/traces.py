@@ -83,33 +83,30 @@ def fault_windows(run: Run, case: Case, stop: float) -> tuple[Window, ...]:
     """When the sensors' faults are active up to `stop` [s]: as the campaign declares and the case overrides them."""
     windows = []
     for part, spec in (run.campaign.get("parts") or {}).items():
-        for index, fault in enumerate((spec.get("faults") if isinstance(spec, Mapping) else None) or ()):
-            if not isinstance(fault, Mapping):
-                continue
-            changed = {
-                key.rsplit(".", 1)[1]: text
-                for key, text in case.values.items()
-                if key.startswith(f"{part}.faults.{index}.")
-            }
-            spec_of = {
-                **{key: value for key, value in fault.items() if value is not None},
-                **changed,
-            }
-            since, until = (
-                spec_of.pop("from", spec_of.pop("start", None)),
-                spec_of.pop("to", spec_of.pop("until", None)),
-            )
-            kind = ", ".join(f"{key} {value}" if value is not True else key for key, value in spec_of.items())
-            begin, end = _si(since, "s"), _si(until, "s")
-            if begin is not None and begin < stop:
-                windows.append(
-                    Window(
-                        f"{part}: {kind}",
-                        begin,
-                        stop if end is None else min(end, stop),
-                    )
-                )
+        declared = spec.get("faults") if isinstance(spec, Mapping) else None
+        for index, fault in enumerate(_overridden(run, case, f"{part}.faults", declared or [])):
+            settings = {key: value for key, value in fault.items() if value is not None}
+            settings |= _changed(run, case, f"{part}.faults.{index}.")
+            since, until = (_si(settings.pop(key, None), "s") for key in ("from", "to"))
+            kind = ", ".join(key if value is True else f"{key} {value}" for key, value in settings.items())
+            if since is not None and since < stop:
+                windows.append(Window(f"{part}: {kind}", since, stop if until is None else min(until, stop)))
     return tuple(windows)
+
+
+def _overridden(run: Run, case: Case, path: str, declared: Any) -> list[Mapping[str, Any]]:
+    value = _settings(run, case).get(path, declared)
+    return [fault for fault in value if isinstance(fault, Mapping)] if isinstance(value, list) else []
+
+
+def _changed(run: Run, case: Case, prefix: str) -> dict[str, Any]:
+    settings = {**_settings(run, case), **case.values}
+    return {path.removeprefix(prefix): value for path, value in settings.items() if path.startswith(prefix)}
+
+
+def _settings(run: Run, case: Case) -> Mapping[str, Any]:
+    experiments = run.campaign.get("experiments") or {}
+    return (experiments.get(case.experiment) or {}).get("set") or {}
 
 
 def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:

@@ -43,7 +43,7 @@ def test_a_failed_criterion_is_named_with_value_bound_and_worst_case(pytester):
     result.stdout.fnmatch_lines(
         [
             "value 0.0018 rad, bound 1e-09 rad: mismatch: rmse_hybrid < 1e-9 rad",
-            "worst case: figure_6, seed=1 (0000000000000000), ok",
+            "worst case: figure_6: seed = 1 (0000000000000000), ok",
             "9 of 9 cases above",
             "FAILED runs/acceptance.json::mismatch: rmse_hybrid < 1e-9 rad*",
         ]
@@ -77,7 +77,7 @@ def test_an_incomplete_campaign_fails_every_criterion_and_names_the_missing_case
     (folder / "cases" / "0001000000000000" / "case.json").unlink()
     result = run(pytester, "runs")
     result.assert_outcomes(failed=2)
-    result.stdout.fnmatch_lines(["incomplete campaign: 1 of 6 cases have no case.json: figure_6, seed=2"])
+    result.stdout.fnmatch_lines(["incomplete campaign: 1 of 6 cases have no case.json: figure_6: seed = 2"])
 
 
 def test_an_incomplete_campaign_without_criteria_is_an_error(pytester):

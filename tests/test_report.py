@@ -21,7 +21,7 @@ from reports.signals import envelope
 from reports.standing import leaderboard, quantities, standing
 from reports.traces import declared_figures
 
-FAILING = "mismatch, plant.k=1800 N.m/rad, seed=2"
+FAILING = "mismatch: plant.k = 1800 N.m/rad, seed = 2"
 
 
 class Page(HTMLParser):
@@ -101,9 +101,9 @@ def test_a_run_with_a_failed_case_is_not_accepted_and_names_it(failed_page):
 
 def test_every_criterion_has_a_row_with_value_bound_and_worst_case(failed_page):
     text = failed_page.text("criteria")
-    assert "✓ passed rmse_hybrid < 0.01 rad all 0.0021 rad 0.01 rad figure_6, seed=1" in text
+    assert "✓ passed rmse_hybrid < 0.01 rad all 0.0021 rad 0.01 rad figure_6: seed = 1" in text
     assert "✓ passed p95(located.delay) < 20 ms figure_6 12 ms 20 ms" in text
-    assert "✗ failed rmse_open_loop < 1e-3 rad mismatch 0.0315 rad 0.001 rad figure_6, seed=1 1 case failed" in text
+    assert "✗ failed rmse_open_loop < 1e-3 rad mismatch 0.0315 rad 0.001 rad figure_6: seed = 1 1 case failed" in text
 
 
 def test_the_page_fetches_nothing_from_elsewhere(failed_page):
@@ -158,7 +158,7 @@ def test_a_missing_case_makes_the_run_incomplete_and_is_listed(tmp_path):
     (tmp_path / "cases" / run.cases[2].key / "case.json").unlink()
     page = page_of(tmp_path)
     assert "Incomplete" in page.text()
-    assert "missing figure_6, seed=3" in page.text("failures")
+    assert "missing figure_6: seed = 3" in page.text("failures")
 
 
 def test_a_campaign_that_declares_nothing_still_gets_a_page(tmp_path):
@@ -189,7 +189,7 @@ def test_declared_figures_convert_units_and_place_thresholds_on_the_panels_of_th
     assert speed.lines == () and location.lines == ()
     assert location.traces[0].discrete
     assert [(window.label, window.since, window.until) for window in figure.windows] == [
-        ("encoder: bias 5 rpm", 3.0, 3.5)
+        ("encoder: bias 5 rpm", 3.0, 3.25)
     ]
 
 
@@ -251,7 +251,7 @@ def test_metrics_of_one_kind_and_truth_compare_observers_best_first(tmp_path):
 
 
 def test_a_failed_case_is_the_worst_and_moves_the_median(tmp_path):
-    run = read_run(build_run(tmp_path, failing=[f"figure_6, seed={seed}" for seed in (1, 2)]))
+    run = read_run(build_run(tmp_path, failing=[f"figure_6: seed = {seed}" for seed in (1, 2)]))
     row = standing(run, "rmse_hybrid", "hybrid", False, run.cases[:3])
     assert (row.measured, row.failed) == (1, 2)
     assert math.isinf(row.median) and math.isinf(row.worst)

@@ -84,7 +84,7 @@ def build_run(
     ):
         for seed in range(1, seeds + 1):
             varied = {**values, "seed": str(seed)}
-            label = ", ".join([experiment, *(f"{path}={text}" for path, text in varied.items())])
+            label = f"{experiment}: " + ", ".join(f"{path} = {text}" for path, text in varied.items())
             key = f"{len(cases):04x}{'0' * 12}"
             failed = label in failing
             ending: dict[str, Any] = {"outcome": "diverged" if failed else "ok", "part": "open_loop" if failed else ""}
@@ -109,6 +109,10 @@ def campaign(cases: Sequence[Mapping[str, Any]], seeds: int) -> dict[str, Any]:
         "versions": {"crankbench": "0.1.0", "numpy": "2.4"},
         "platform": "linux64",
         "commit": "0123456789abcdef",
+        "experiments": {
+            "figure_6": {"description": "The published step", "set": {"encoder.faults.0.to": "3.25 s"}},
+            "mismatch": {"vary": {"plant.k": ["1650 N.m/rad", "1800 N.m/rad"]}},
+        },
         "seeds": list(range(1, seeds + 1)),
         "cases": list(cases),
         "fmus": {"plant": {"sha256": "cd" * 32, "tool": "crankbench 0.1.0", "fmi_version": "2.0"}},
@@ -171,9 +175,7 @@ def write_case(
         "starts": {"plant": {"k": 1500.0, "solver.method": 1, "solver.step": 0.001}, "hybrid": {"tau": 0.125}},
         "wall": {"total": 0.25, "plant": 0.1},
         "metrics": {} if ending["outcome"] != "ok" else measured(values, scale),
-        "samples": {}
-        if ending["outcome"] != "ok"
-        else {"located.delay": [0.010, 0.012, math.inf if seed == 2 else 0.014]},
+        "samples": {} if ending["outcome"] != "ok" else {"located.delay": [0.010, 0.012, None if seed == 2 else 0.014]},
         "warnings": ["the plant's FMU names no unit for tau"],
         "log": [],
         "order": ["torque", "plant", "encoder", "hybrid", "open_loop"],
@@ -210,19 +212,19 @@ def test_a_run_is_read_with_its_cases_metrics_and_criteria(tmp_path):
     assert (run.name, len(run.cases), len(run.criteria or ())) == ("driveline", 9, 2)
     assert run.accepted
     assert run.cases[0].metrics["rmse_hybrid"].value == 2e-4
-    assert run.cases[3].scenario == "mismatch · plant.k = 1650 N.m/rad"
+    assert run.cases[3].scenario == "mismatch: plant.k = 1650 N.m/rad"
 
 
 def test_a_metric_is_a_series_over_the_cases_in_which_a_failed_case_stays_as_a_gap(tmp_path):
-    run = read_run(build_run(tmp_path, failing=["figure_6, seed=2"]))
+    run = read_run(build_run(tmp_path, failing=["figure_6: seed = 2"]))
     series = run.metric("rmse_hybrid", experiment="figure_6")
-    assert list(series.index) == ["figure_6, seed=1", "figure_6, seed=2", "figure_6, seed=3"]
+    assert list(series.index) == ["figure_6: seed = 1", "figure_6: seed = 2", "figure_6: seed = 3"]
     assert series.attrs["unit"] == "rad"
     assert math.isnan(series.iloc[1]) and series.max() == 2e-4
 
 
 def test_signals_come_in_si_by_column(tmp_path):
-    frame = read_run(build_run(tmp_path)).signals("figure_6, seed=1", ["plant.omega_c"])
+    frame = read_run(build_run(tmp_path)).signals("figure_6: seed = 1", ["plant.omega_c"])
     assert list(frame.columns) == ["plant.omega_c"]
     assert frame["plant.omega_c"].iloc[-1] == -4.0
     assert frame.index[-1] == 4.0
@@ -272,3 +274,19 @@ def test_a_damaged_file_is_named_with_what_was_wanted(tmp_path, file, content, m
     (tmp_path / file).write_text(content)
     with pytest.raises(RunFolderError, match=message):
         read_run(tmp_path)
+
+
+def test_a_delay_that_json_cannot_hold_is_infinite_and_a_metric_that_does_not_apply_is_nan(tmp_path):
+    run = read_run(build_run(tmp_path))
+    assert run.cases[1].samples["located.delay"][-1] == math.inf
+    path = tmp_path / "cases" / run.cases[1].key / "case.json"
+    case = json.loads(path.read_text())
+    case["metrics"]["located.delay_p95"]["value"] = None
+    case["metrics"]["rmse_hybrid"]["value"] = None
+    path.write_text(json.dumps(case))
+    assert math.isnan(read_run(tmp_path).cases[1].metrics["located.delay_p95"].value)  # nothing was missed
+    case["metrics"]["located.missed"]["value"] = 1
+    path.write_text(json.dumps(case))
+    metrics = read_run(tmp_path).cases[1].metrics
+    assert metrics["located.delay_p95"].value == math.inf
+    assert math.isnan(metrics["rmse_hybrid"].value)
