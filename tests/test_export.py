@@ -549,5 +549,16 @@ def test_the_sources_in_the_fmu_build_to_the_same_model(tmp_path: Path) -> None:
         assert hasattr(ctypes.CDLL(str(library)), f"fmi{fmi}DoStep")
 
 
+def test_the_example_of_the_documentation_drains_by_torricellis_law(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[1] / "docs" / "models.md").read_text()
+    scope: dict[str, Model] = {}
+    exec(re.search(r"```python\n(.*?)```", text, re.S)[1], scope)  # type: ignore[index]
+    session = Session(scope["TANK"], tmp_path).begin()
+    session.run(10.0, 10)
+    # sqrt(h) falls linearly, by c / (2 area) a second: h is a parabola, which RK4 follows up to rounding.
+    assert session.get("h") == pytest.approx((1.0 - 0.1 / 4.0 * 10.0) ** 2, rel=1e-12)
+    assert session.get("level") == pytest.approx(100.0 * session.get("h"), rel=1e-15)
+
+
 def test_status_ok_is_what_fmpy_calls_ok() -> None:
     assert fmi2OK == 0
