@@ -69,7 +69,7 @@ class CampaignFile(Strict):
     metrics: dict[str, Definition] = Field(default_factory=dict)
     accept: list[Demand] = Field(default_factory=list, description="what must hold of the metrics")
     report: ReportSection = ReportSection()
-    limits: Limits = Limits()
+    limits: Limits = Field(default_factory=lambda: Limits.model_validate({}))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from multiprocessing.context import BaseContext
 from pathlib import Path
@@ -115,7 +115,7 @@ def _run_all(campaign: Campaign, folder: Path, jobs: int, tell: Callable[[Ended]
     pool = ProcessPool(max_workers=min(jobs, len(cases)), max_tasks=CASES_A_WORKER, context=_context())
     before = len(campaign.cases) - len(cases)
     try:
-        waiting = {
+        waiting: dict[Future[None], Case] = {
             pool.schedule(run_case, args=[case, folder, campaign.metrics], timeout=campaign.case_limit): case
             for case in cases
         }

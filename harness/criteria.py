@@ -179,7 +179,8 @@ def judge(criterion: Criterion, cases: Sequence[Judged], units: Mapping[str, str
     if criterion.left.aggregate in ("", *EXTREMES):
         verdict = _case_by_case(criterion, covered, units, unit)
     else:
-        value, bound = (_over_cases(side, covered, units, unit) for side in (criterion.left, criterion.right))
+        value = _over_cases(criterion.left, covered, units, unit, criterion.comparison)
+        bound = _over_cases(criterion.right, covered, units, unit, criterion.comparison)
         verdict = _verdict(criterion, value, bound, unit, "")
     failed = next((case for case in covered if case.outcome not in COMPLETE), None)
     if failed is not None:
@@ -191,22 +192,18 @@ def judge(criterion: Criterion, cases: Sequence[Judged], units: Mapping[str, str
 
 
 def _case_by_case(criterion: Criterion, cases: Sequence[Judged], units: Mapping[str, str], unit: str) -> Verdict:
-    sides = criterion.left, criterion.right
-    pairs = [tuple(_in_case(side, case, unit) for side in sides) for case in cases]
-    if criterion.right.aggregate or not pairs:
-        bound = _over_cases(criterion.right, cases, units, unit, _worst(criterion, criterion.right.aggregate))
-        pairs = [(value, bound) for value, _ in pairs] or [(math.nan, bound)]
-    margins = [_margin(criterion.comparison, value, bound) for value, bound in pairs]
-    ranked = sorted(range(len(pairs)), key=lambda index: margins[index])
+    values = [_in_case(criterion.left, case, unit) for case in cases]
+    if criterion.right.aggregate or not criterion.right.metric:
+        bounds = [_over_cases(criterion.right, cases, units, unit, criterion.comparison)] * len(cases)
+    else:
+        bounds = [_in_case(criterion.right, case, unit) for case in cases]
+    if not cases:
+        return _verdict(criterion, math.nan, math.nan, unit, "")
+    margins = [_margin(criterion.comparison, value, bound) for value, bound in zip(values, bounds, strict=True)]
+    ranked = sorted(range(len(cases)), key=lambda index: margins[index])
     decisive = ranked[-1] if criterion.left.aggregate == "best" else ranked[0]
-    key = cases[decisive].key if cases else ""
-    return _verdict(criterion, *pairs[decisive], unit, key, cases[decisive].label if cases else "")
-
-
-def _worst(criterion: Criterion, aggregate: str) -> Callable[[Vector], float]:
-    """What `worst` or `best` means on the right-hand side: the worst bound of a `<` is the smallest."""
-    smallest = (aggregate == "worst") == criterion.comparison.startswith("<")
-    return AGGREGATES["min" if smallest else "max"]
+    case = cases[decisive]
+    return _verdict(criterion, values[decisive], bounds[decisive], unit, case.key, case.label)
 
 
 def _margin(comparison: str, value: float, bound: float) -> float:
@@ -237,13 +234,8 @@ def _converted(value: float, unit: str, wanted: str, side: Side) -> float:
     return target.from_si(source.to_si(value)) if side.absolute else value * (source.factor / target.factor)
 
 
-def _over_cases(
-    side: Side,
-    cases: Sequence[Judged],
-    units: Mapping[str, str],
-    unit: str,
-    worst: Callable[[Vector], float] | None = None,
-) -> float:
+def _over_cases(side: Side, cases: Sequence[Judged], units: Mapping[str, str], unit: str, comparison: str) -> float:
+    """A side over all cases; on the right of a `<` the worst bound is the smallest."""
     if not side.metric:
         return side.factor
     pooled: list[float] = []
@@ -255,7 +247,9 @@ def _over_cases(
     values = np.array(pooled)
     if not len(values) or np.isnan(values).any():
         return math.nan
-    return side.factor * (worst or AGGREGATES[side.aggregate])(values)
+    smallest = (side.aggregate == "worst") == comparison.startswith("<")
+    aggregate = ("min" if smallest else "max") if side.aggregate in EXTREMES else side.aggregate
+    return side.factor * AGGREGATES[aggregate](values)
 
 
 def _verdict(criterion: Criterion, value: float, bound: float, unit: str, key: str, label: str = "") -> Verdict:

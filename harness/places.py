@@ -125,7 +125,9 @@ class _Reader:
             return self.mapping(node, path, inside)
         if isinstance(node, SequenceNode):
             return [self.read(item, (*path, index), inside) for index, item in enumerate(node.value)]
-        return self.scalar(node)
+        if isinstance(node, ScalarNode):
+            return self.scalar(node)
+        raise TypeError(f"a YAML node is a mapping, sequence or scalar, got {type(node).__name__}")
 
     def mapping(self, node: MappingNode, path: KeyPath, inside: tuple[int, ...]) -> dict[str, Any]:
         result: dict[str, Any] = {}

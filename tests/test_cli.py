@@ -136,7 +136,7 @@ def test_every_problem_of_a_file_is_printed_with_its_place(crankbench, tmp_path)
     assert err.splitlines() == [
         f"{file}:3:9: clock.time wants the key 'step'",
         f"{file}:3:16: unknown key 'steps' in clock.time; did you mean 'step'?",
-        f"{file}:6:37: unknown key 'nois' in parts.gauge; did you mean 'noise'?",
+        f"{file}:6:36: unknown key 'nois' in parts.gauge; did you mean 'noise'?",
     ]
 
 

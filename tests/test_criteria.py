@@ -111,6 +111,13 @@ def test_aggregates_may_stand_on_both_sides():
     assert verdict("max(rmse) < 0.5 * mean(other)", *cases).bound == pytest.approx(3.0)
 
 
+def test_the_worst_bound_of_a_below_is_the_smallest():
+    cases = case("a", rmse=1.0, other=9000.0), case("b", rmse=2.0, other=3000.0)
+    assert verdict("worst(rmse) < worst(other)", *cases).bound == pytest.approx(3.0)
+    assert verdict("mean(rmse) < best(other)", *cases).bound == pytest.approx(9.0)
+    assert verdict("worst(rmse) < p95(other)", *cases).bound == pytest.approx(9.0)
+
+
 def test_an_absolute_temperature_is_compared_with_the_offset_of_its_unit():
     found = verdict("temperature < 300 K", case("a", temperature=20.0))
     assert (found.value, found.passed) == (pytest.approx(293.15), True)
