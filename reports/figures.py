@@ -25,6 +25,8 @@ INK = "#010203"
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "crankbench",
     "svg.fonttype": "none",
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
     "font.size": 9.5,
     "axes.spines.top": False,
     "axes.spines.right": False,

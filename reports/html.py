@@ -23,8 +23,8 @@ from reports.interactive import interactive, points_a_trace
 from reports.traces import TRUTH_COLOUR, Figure, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
-# More scenarios than this are drawn by experiment only; more cases than this are listed in metrics.csv only; a signal of
-# more values than this has no confusion matrix drawn.
+# More scenarios than this are drawn by experiment only, more cases than this are listed in metrics.csv only, and a
+# signal of more values than this has no confusion matrix drawn.
 SCENARIOS_DRAWN, CASES_LISTED, VALUES_DRAWN = 40, 2000, 15
 
 

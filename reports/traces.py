@@ -11,9 +11,9 @@ from reports.folder import Case, Run, RunFolderError
 from reports.signals import Column, Vector, read_columns, same_dimension
 from reports.standing import definitions, observers
 
-# Okabe and Ito's colours, readable on light and dark and by the colour-blind; the truth is grey.
+# Okabe and Ito's colours (the blue lighter), readable on light and dark and by the colour-blind; the truth is grey.
 COLOURS = (
-    "#0072B2",
+    "#1A7FC1",
     "#D55E00",
     "#009E73",
     "#CC79A7",
