@@ -3,73 +3,27 @@
 from __future__ import annotations
 
 import hashlib
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
-
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from typing import Any
 
 from fmus.component import ConfigurationError, Problem
 from fmus.model import unknown
 from fmus.units import UnitError
+from harness.campaignfile import CampaignFile, Limits
 from harness.criteria import Criterion, CriterionError, parse_criterion
 from harness.definitions import Definition, results
 from harness.expansion import PathError, Setting, apply, combine, locate, put, read_axes, shown
 from harness.fingerprint import case_key
 from harness.places import KeyPath, Place, Places, read_yaml, read_yaml_file
 from harness.reportsection import ReportSection
-from harness.scenario import Clock, Measure, Part, Quantity, Scenario, Strict
+from harness.scenario import Scenario
 from harness.validation import validate
 
 SCENARIO_KEYS = ("clock", "parts", "seed", "record")
-
-
-class Experiment(Strict):
-    """A named variant of the campaign: overrides, and axes of its own."""
-
-    description: str = ""
-    overrides: dict[str, Any] = Field(default_factory=dict, alias="set", description="path: value")
-    vary: dict[str, Any] = Field(default_factory=dict, description="path, or paths: values")
-
-
-class Limits(Strict):
-    """How long things may take; no part of what a case gives."""
-
-    case: Quantity = Field(Measure(10.0, "min"), description="wall time of one case")
-
-
-def read_demand(raw: Any) -> Any:
-    """A criterion's text, or {experiment: text}."""
-    texts = raw.values() if isinstance(raw, dict) else [raw]
-    if not all(isinstance(text, str) for text in texts):
-        raise ValueError(f"wants 'metric < bound' or {{experiment: 'metric < bound'}}, got {raw!r}")
-    return raw
-
-
-Demand = Annotated[
-    Any,
-    BeforeValidator(read_demand),
-    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object", "additionalProperties": {"type": "string"}}]}),
-]
-
-
-class CampaignFile(Strict):
-    """A campaign file: one scenario, what varies in it, what is measured and what is demanded."""
-
-    campaign: str = Field(pattern=r"^[A-Za-z0-9][\w.-]*$", description="name")
-    description: str = Field("", description="one line")
-    clock: Clock
-    seed: int = Field(0, ge=0)
-    parts: dict[str, Part] = Field(min_length=1)
-    record: list[str] | None = Field(None, description="signals to record, as part or part.output; all where absent")
-    vary: dict[str, Any] = Field(default_factory=dict, description="path, or paths: list of values or 1..20")
-    experiments: dict[str, Experiment] = Field(default_factory=dict)
-    metrics: dict[str, Definition] = Field(default_factory=dict)
-    accept: list[Demand] = Field(default_factory=list, description="what must hold of the metrics")
-    report: ReportSection = ReportSection()
-    limits: Limits = Field(default_factory=lambda: Limits.model_validate({}))
 
 
 @dataclass(frozen=True)
@@ -103,9 +57,13 @@ class Campaign:
 def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
     """The campaign of a YAML file, with `path=value` overrides on top of everything in it.
 
+    Modules beside the file can be imported from then on.
+
     Raises ConfigurationError: every problem of the file and the overrides, each with line and column.
     """
     document, places = read_yaml_file(file)
+    if str(file.parent.absolute()) not in sys.path:
+        sys.path.append(str(file.parent.absolute()))
     if not isinstance(document, dict):
         raise ConfigurationError(places.problem("a campaign wants a mapping of keys to values, got none"))
     problems: list[Problem] = []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
@@ -80,8 +79,6 @@ def execute(
     `tell` hears of every case as it ends. Raises ConfigurationError before anything is written; KeyboardInterrupt
     passes through with the finished cases kept.
     """
-    if str(campaign.file.parent) not in sys.path:
-        sys.path.append(str(campaign.file.parent))
     units = preflight(campaign).units
     kept = [case for case in campaign.cases if finished == "kept" and _finished(folder, case)]
     _clear(folder, [case for case in campaign.cases if case not in kept])

@@ -15,7 +15,8 @@ import typer
 from fmus.component import ConfigurationError
 from fmus.fmu import describe
 from harness.building import build_model
-from harness.campaign import CampaignFile, built_in_campaigns, describe_campaign, find_campaign, read_campaign
+from harness.campaign import built_in_campaigns, describe_campaign, find_campaign, read_campaign
+from harness.campaignfile import CampaignFile
 from harness.cases import Result, execute
 from harness.doctor import examine
 from harness.progress import progress
@@ -37,7 +38,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 def main() -> None:
     """Run the command line and exit with # FAILED is a case or a criterion, MISUSED usage or configuration.
-FINE, FAILED, MISUSED or INTERRUPTED."""
+    FINE, FAILED, MISUSED or INTERRUPTED."""
     try:
         app()
     except ConfigurationError as error:

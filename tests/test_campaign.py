@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 import textwrap
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from fmus.component import ConfigurationError
 from harness.campaign import built_in_campaigns, find_campaign, read_campaign
 from harness.cli import schema_text
+from harness.fingerprint import _sources_digest
 from harness.places import read_yaml, read_yaml_file
 
 GOOD = """\
@@ -265,6 +267,34 @@ def test_the_key_follows_the_content_of_an_fmu(tmp_path):
     before = keys(tmp_path, text)
     (tmp_path / "vendor.fmu").write_bytes(b"another")
     assert keys(tmp_path, text) != before
+
+
+def test_the_key_follows_a_module_beside_the_file_and_what_it_imports(tmp_path, monkeypatch):
+    text = changed("use: fmus.plants.driveline", "use: my_rig.plant")
+    monkeypatch.setattr("sys.path", list(sys.path))
+    (tmp_path / "my_rig").mkdir()
+    files = [tmp_path / "my_rig" / name for name in ("__init__.py", "plant.py", "gears.py", "unused.py")]
+    for file in files:
+        file.write_text("from my_rig import gears\n" if file.name == "plant.py" else "")
+    found = []
+    for file in (None, *files):
+        if file is not None:
+            file.write_text(f"{file.read_text()}# changed\n")
+        # A process reads each source once.
+        _sources_digest.cache_clear()
+        found += keys(tmp_path, text)
+    as_it_was, package, plant, gears, unused = found
+    assert len({as_it_was, package, plant, gears}) == 4
+    assert unused == gears
+
+
+def test_the_key_follows_the_plant_that_an_observer_is_made_from(tmp_path):
+    made = "use: observers.open_loop\n    with: {plant: %s}"
+    one, other = (
+        changed("use: fmus.plants.driveline\n    with: {k: 1500 N.m/rad}", made % plant)
+        for plant in ("fmus.plants.driveline", "fmus.plants")
+    )
+    assert keys(tmp_path, one) != keys(tmp_path, other)
 
 
 def test_an_unknown_built_in_name_is_told_with_those_there_are(tmp_path):
