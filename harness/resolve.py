@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import pkgutil
-import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,11 +20,11 @@ from fmus.fmu import load_fmu
 from fmus.model import Model, ModelError, unknown
 from fmus.units import UnitError, parse_unit
 from harness.findings import Findings
-from harness.scenario import Measure, ModelPart, read_measure
+from harness.scenario import ModelPart
+from harness.settings import read_arguments, read_settings
 
 # Settings that every exported FMU has besides its own.
 SOLVER = (Signal("solver.method"), Signal("solver.step", "s"), Signal("solver.tolerance"))
-_LIST = re.compile(r"\s*\[(?P<numbers>[^\]]*)\]\s*(?P<unit>.*)$")
 
 
 class Resolved(NamedTuple):
@@ -33,10 +34,14 @@ class Resolved(NamedTuple):
     settings: Mapping[str, float]
 
 
-def resolve(spec: ModelPart, part: str, found: Findings) -> Resolved | None:
-    """The component of a plant, observer or controller; None where problems were found."""
+def resolve(spec: ModelPart, part: str, step: float, found: Findings) -> Resolved | None:
+    """The component of a plant, observer or controller; None where problems were found.
+
+    `step` [s] is what the part steps by: a `make` with an argument `sample_time` is given it unless the settings say
+    otherwise, and the sample time of a sampled model is to be a multiple of it.
+    """
     try:
-        return _from_file(spec, part, found) if spec.use.endswith(".fmu") else _from_module(spec, part, found)
+        return _from_file(spec, part, found) if spec.use.endswith(".fmu") else _from_module(spec, part, step, found)
     except ConfigurationError as error:
         for problem in error.problems:
             found.at("use").tell(f"{part}: {problem}")
@@ -67,7 +72,7 @@ def _as_signal(variable: Variable) -> Signal:
     return Signal(variable.name, unit, shape=variable.shape)
 
 
-def _from_module(spec: ModelPart, part: str, found: Findings) -> Resolved | None:
+def _from_module(spec: ModelPart, part: str, step: float, found: Findings) -> Resolved | None:
     module_name, _, attribute = spec.use.partition(":")
     module = _import(module_name, found.at("use"))
     if module is None:
@@ -82,9 +87,9 @@ def _from_module(spec: ModelPart, part: str, found: Findings) -> Resolved | None
     elif given is None:
         found.at("use").add(f"wants a module with a MODEL or a make, got {module_name}, which has neither")
     elif isinstance(given, Model):
-        return _from_model(given, spec, part, spec.settings, found)
+        return _from_model(given, spec, part, spec.settings, step, found)
     elif callable(given):
-        return _made(given, spec, part, found)
+        return _made(given, spec, part, step, found)
     else:
         found.at("use").add(f"wants a Model or a function that makes one, got {type(given).__name__}")
     return None
@@ -111,20 +116,33 @@ def _shipped() -> Iterable[str]:
 
 
 def _from_model(
-    model: Model, spec: ModelPart, part: str, settings: Mapping[str, Any], found: Findings
+    model: Model, spec: ModelPart, part: str, settings: Mapping[str, Any], step: float, found: Findings
 ) -> Resolved | None:
     """The model's FMU with the parameter set and the settings applied."""
     signals = (*model.parameters, *model.states, *model.discrete, *SOLVER)
     chosen = _parameter_set(model, spec.parameter_set, found.at("set"))
     given = read_settings(signals, settings, found.at("with"))
-    if chosen is None or given is None:
+    if chosen is None or given is None or not _samples_on_steps(model, {**chosen, **given}, step, found):
         return None
     try:
-        component = load_fmu(cached_fmu(model), starts={**chosen, **given}, name=part, role=model.role)
+        component = load_fmu(_exported(_Same(model)), starts={**chosen, **given}, name=part, role=model.role)
     except ModelError as error:
         found.at("use").tell(f"{part}: {error}")
         return None
     return Resolved(component, {**chosen, **given})
+
+
+def _samples_on_steps(model: Model, starts: Mapping[str, float], step: float, found: Findings) -> bool:
+    """Whether a sampled model samples at ends of the part's steps; a problem where it does not."""
+    if not model.sample_time:
+        return True
+    declared = next(signal for signal in model.parameters if signal.name == model.sample_time)
+    period = starts.get(declared.name, parse_unit(declared.unit).to_si(float(declared.start)))
+    ratio = period / step
+    if round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-6 * ratio:
+        return True
+    found.at("with", declared.name).add(f"wants a multiple of what the part steps by, {step:.9g} s, got {period:.9g} s")
+    return False
 
 
 def _parameter_set(model: Model, name: str | None, found: Findings) -> dict[str, float] | None:
@@ -144,74 +162,21 @@ def _parameter_set(model: Model, name: str | None, found: Findings) -> dict[str,
     return values
 
 
-def read_settings(signals: Iterable[Signal], settings: Mapping[str, Any], found: Findings) -> dict[str, float] | None:
-    """Settings in SI by scalar name; each key a signal or a scalar of an array, each value a quantity or several.
-
-    None and the problems in `found` where one is of no signal, of another dimension or of another shape.
-    """
-    before = len(found.problems)
-    whole = {signal.name: signal for signal in signals}
-    scalars = {
-        name: Signal(name, signal.unit) for signal in whole.values() if signal.shape for name in signal.scalar_names()
-    }
-    values: dict[str, float] = {}
-    for key, raw in settings.items():
-        signal = whole.get(key) or scalars.get(key)
-        if signal is None:
-            found.at(key).add(unknown(key, whole, "parameter or start value"))
-        else:
-            values |= zip(signal.scalar_names(), _numbers(raw, signal, found.at(key)), strict=False)
-    return values if len(found.problems) == before else None
-
-
-def _numbers(raw: Any, signal: Signal, found: Findings) -> list[float]:
-    """The scalars of a signal, row-major, in SI."""
-    measures = read_measures(raw, found)
-    if measures is None:
-        return []
-    if len(measures) == 1 and not isinstance(raw, (list, tuple)):
-        measures = measures * signal.size
-    if len(measures) != signal.size:
-        found.add(f"wants {signal.size} values, shape {signal.shape}, got {len(measures)}")
-        return []
-    return [found.value(measure, signal.unit) for measure in measures]
-
-
-def read_measures(raw: Any, found: Findings) -> list[Measure] | None:
-    """The quantities of `5 N.m`, 5, true, `[4, 5] N.m` or nested lists of those, row-major; None where it is none."""
-    if isinstance(raw, bool):
-        return [Measure(float(raw), "")]
-    if isinstance(raw, (list, tuple)) and not isinstance(raw, Measure):
-        rows = [read_measures(value, found) for value in raw]
-        return (
-            None
-            if any(row is None for row in rows)
-            else [measure for row in rows if row is not None for measure in row]
-        )
-    match = _LIST.match(raw) if isinstance(raw, str) else None
-    try:
-        if match:
-            return [read_measure(f"{number} {match['unit']}") for number in match["numbers"].split(",")]
-        return [read_measure(raw)]
-    except ValueError as error:
-        found.add(str(error))
-        return None
-
-
-def _made(make: Callable[..., Any], spec: ModelPart, part: str, found: Findings) -> Resolved | None:
+def _made(make: Callable[..., Any], spec: ModelPart, part: str, step: float, found: Findings) -> Resolved | None:
     """What a `make` returns for the part's settings, each converted as the argument is annotated."""
-    before = len(found.problems)
-    arguments = _arguments(make, spec.settings, found.at("with"))
-    if len(found.problems) > before:
+    arguments = read_arguments(make, spec.settings, step, found.at("with"))
+    if arguments is None:
         return None
     try:
-        made = make(**arguments)
+        made: Any = _made_model(_Call(make, repr(arguments), arguments))
+    except _NoModel as result:
+        made = result.made
     except ValueError as error:
         found.at("with").tell(f"{part}: {error}")
         return None
     numbers = {name: float(value) for name, value in arguments.items() if isinstance(value, (int, float))}
     if isinstance(made, Model):
-        resolved = _from_model(made, spec, part, {}, found)
+        resolved = _from_model(made, spec, part, {}, step, found)
         return resolved and Resolved(resolved.component, {**numbers, **resolved.settings})
     if not isinstance(made, Component):
         found.at("use").add(f"wants make to return a Model or a Component, got {type(made).__name__}")
@@ -222,54 +187,43 @@ def _made(make: Callable[..., Any], spec: ModelPart, part: str, found: Findings)
     return Resolved(made, numbers)
 
 
-def _arguments(make: Callable[..., Any], settings: Mapping[str, Any], found: Findings) -> dict[str, Any]:
-    parameters = inspect.signature(make).parameters
-    hints = get_type_hints(make, include_extras=True)
-    named = [name for name, p in parameters.items() if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    arguments = {}
-    for key, raw in settings.items():
-        if key in named:
-            arguments[key] = _argument(raw, hints.get(key, Any), found.at(key))
-        elif open_ended:
-            arguments[key] = raw
-        else:
-            found.at(key).add(unknown(key, named, "argument"))
-    for name in named:
-        if parameters[name].default is inspect.Parameter.empty and name not in settings:
-            found.at(name).add(f"wants a value; write `with: {{{name}: ...}}`")
-    return arguments
+@dataclass(frozen=True)
+class _Call:
+    """A call of a `make`; two with arguments that read the same are one."""
+
+    make: Callable[..., Any]
+    text: str
+    arguments: Mapping[str, Any] = field(compare=False)
 
 
-def _argument(raw: Any, hint: Any, found: Findings) -> Any:
-    """A setting as an annotation asks for it: in SI where it names a unit, else a plain number, else as written."""
-    unit, numeric = _annotation(hint)
-    if raw is None or (unit is None and numeric is None):
-        return raw
-    if numeric is int and isinstance(raw, int) and not isinstance(raw, bool):
-        return raw
-    measures = read_measures(raw, found)
-    if measures is None:
-        return raw
-    values = [found.value(measure, unit or "1") for measure in measures]
-    if numeric is int:
-        if any(value != round(value) for value in values):
-            found.add(f"wants an integer, got {raw}")
-        values = [round(value) for value in values]
-    listed = isinstance(raw, (list, tuple)) or (isinstance(raw, str) and _LIST.match(raw))
-    return values if listed else values[0]
+class _NoModel(Exception):
+    def __init__(self, made: Any) -> None:
+        self.made = made
 
 
-def _annotation(hint: Any) -> tuple[str | None, type | None]:
-    """The unit an annotation names, and the kind of number it is; None where it says nothing."""
-    if get_origin(hint) is Annotated:
-        inner, *extras = get_args(hint)
-        unit = next((extra for extra in extras if isinstance(extra, str)), None)
-        return unit, _annotation(inner)[1] or float
-    if hint in (int, float):
-        return None, hint
-    for member in get_args(hint) if get_origin(hint) is not None and get_origin(hint) is not dict else ():
-        unit, numeric = _annotation(member)
-        if unit is not None:
-            return unit, numeric
-    return None, None
+@lru_cache(maxsize=128)
+def _made_model(call: _Call) -> Model:
+    """The model that a `make` returns, designed once for all cases of a process. Raises _NoModel with anything else."""
+    made = call.make(**call.arguments)
+    if not isinstance(made, Model):
+        raise _NoModel(made)
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class _Same:
+    """A model that equals only itself."""
+
+    model: Model
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.model is other.model
+
+    def __hash__(self) -> int:
+        return id(self.model)
+
+
+@lru_cache(maxsize=128)
+def _exported(same: _Same) -> Path:
+    """The FMU of a model, traced once for all cases of a process."""
+    return cached_fmu(same.model)

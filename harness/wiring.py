@@ -105,8 +105,8 @@ def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], 
     for name, spec in scenario.parts.items():
         here = found.at("parts", name)
         if isinstance(spec, ModelPart):
-            resolved = resolve(spec, name, here)
             period = _period(spec.every, grid, here.at("every"))
+            resolved = resolve(spec, name, period * grid.step, here)
             if resolved is not None:
                 built[name] = _Built(resolved.component, period, resolved.settings)
         elif isinstance(spec, SourcePart) and _known_unit(spec.unit, here.at("unit")):

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from fmus.component import Native, Role, Signal, StepError, Vector
+from fmus.model import Model
 from fmus.toolchain import compile_shared
 
 _SOURCE = """
@@ -239,3 +240,19 @@ def estimator(
     part = Estimator(gain)
     part.arguments = {"gain": gain, "delays": delays, "order": order, "label": label}
     return part
+
+
+def sampled(design: Annotated[float, "s"] = 0.0, sample_time: Annotated[float, "s"] = 1.0) -> Model:
+    """A model that holds its input, sampled every `design` [s], or every `sample_time` where that is 0."""
+    return Model(
+        name="sampled",
+        description="Holds its input.",
+        role="controller",
+        inputs=(Signal("u"),),
+        outputs=(Signal("y"),),
+        discrete=(Signal("m"),),
+        parameters=(Signal("period", "s", start=design or sample_time),),
+        equations=lambda t, x, m, u, p: ({}, {"y": m.m}),
+        sample=lambda t, x, m, u, p: {"m": u.u},
+        sample_time="period",
+    )

@@ -418,5 +418,5 @@ def test_the_time_of_each_part_is_told_and_is_part_of_the_whole() -> None:
     wired = system({"source": STEP_AT_2, "slow": slow}, stop="2 s")
     walls = [run(wired).wall for _ in range(5)]
     assert all(list(wall) == ["source", "slow", "total"] for wall in walls)
-    # Told from one step in 61: another process may fall on those of one run, but not of five.
+    # What else runs on the machine may slow one run down as a whole, but not five.
     assert any(w["slow"] > 5 * w["source"] and 0.3 * w["total"] < w["slow"] < 1.5 * w["total"] for w in walls)

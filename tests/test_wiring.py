@@ -6,6 +6,7 @@ import itertools
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -374,6 +375,35 @@ def test_an_fmu_file_is_found_from_the_folder_of_the_campaign(tmp_path: Path) ->
     same = run(system(driveline(**{"with": {"k": "1.6 kN.m/rad"}})))
     assert record.starts["plant"]["k"] == pytest.approx(1600.0, rel=1e-15)
     assert record["plant.y"].tobytes() == same["plant.y"][:6].tobytes()
+
+
+RAMP = {"use": "source", "unit": "1", "ramp": {"at": "0 s", "until": "1 s", "from": 0, "to": 1000}}
+
+
+def test_a_sampled_part_samples_at_the_ends_of_its_steps_unless_it_is_told() -> None:
+    def steps(**keys: Any) -> list[float]:
+        record = run(system({"u": RAMP, "held": {"use": "loop_parts:sampled", "wires": {"u": "u"}, **keys}}))
+        assert record.outcome == "ok", record.message
+        return [round(value, 9) for value in record["held.y"].tolist()]
+
+    # The ramp is k in row k+1: a source shows the value it had when the step began.
+    assert steps()[2:] == [1, 2, 3, 4, 5, 6, 7, 8, 9]
+    assert steps(every="2 ms")[2:] == [1, 1, 3, 3, 5, 5, 7, 7, 9]
+    assert steps(**{"with": {"sample_time": "4 ms"}})[4:] == [3, 3, 3, 3, 7, 7, 7]
+
+
+def test_a_sample_time_between_the_steps_of_the_part_is_refused() -> None:
+    held = {"use": "loop_parts:sampled", "wires": {"u": "u"}, "with": {"design": "1 ms"}, "every": "2 ms"}
+    expected = "held.with.period wants a multiple of what the part steps by, 0.002 s, got 0.001 s"
+    assert problems({"u": RAMP, "held": held}) == [expected]
+
+
+def test_two_parts_of_one_make_share_no_state() -> None:
+    twin = {"use": "loop_parts:linear", "wires": {"u0": "u"}}
+    wired = system({"u": RAMP, "a": twin, "b": twin, "c": {**twin, "use": "loop_parts:sampled", "wires": {"u": "u"}}})
+    assert wired.components["a"] is not wired.components["b"]
+    record = run(wired)
+    assert np.array_equal(record["a.y0"], record["b.y0"])
 
 
 # All at once
