@@ -39,12 +39,12 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
 }
 
 /* Source, plant, identity sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, location, y in rad/s, the
- * sensor's value, and the observer's three estimates. The source jumps from 0 to `torque` at step `jump`. */
+ * sensor's value, the observer's three estimates and its location. The source jumps from 0 to `torque` at step `jump`. */
 EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double h, double torque, int64_t jump,
                     double rpm, double *rows) {
     for (int64_t k = 0; k < steps; k++) {
         const double t = (double)k * h;
-        double *row = rows + 10 * k, measured[2];
+        double *row = rows + 11 * k, measured[2];
         int location, status;
         row[0] = k >= jump ? torque : 0.0;
         status = plant->set_real(plant->instance, plant->inputs, 1, row);
@@ -54,11 +54,13 @@ EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double
         row[5] = rpm * row[4];
         row[4] = location;
         row[6] = row[5];
-        measured[0] = row[0];
-        measured[1] = row[6] / rpm;
+        measured[0] = row[6] / rpm;
+        measured[1] = row[0];
         status |= observer->set_real(observer->instance, observer->inputs, 2, measured);
         status |= observer->do_step(observer->instance, t, h, 1);
         status |= observer->get_real(observer->instance, observer->outputs, 3, row + 7);
+        status |= observer->get_integer(observer->instance, observer->integers, 1, &location);
+        row[10] = location;
         if (status) return status;
     }
     return 0;

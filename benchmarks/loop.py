@@ -7,7 +7,6 @@ import time
 
 import numpy as np
 
-from benchmarks import luenberger
 from benchmarks.direct import DirectFmu
 from benchmarks.exported import OUTPUTS, STEP, bare_library
 from benchmarks.measure import Measure, side_by_side
@@ -17,12 +16,14 @@ from fmus.units import parse_unit
 from harness.run import StartedSystem, run
 from harness.scenario import Scenario
 from harness.wiring import System, wire
+from observers import luenberger
 
 ESTIMATES = ("theta_e", "omega_c", "omega_p")
 TORQUE = -10.0  # N.m
 JUMP = 2000  # the step from which the torque acts
+DEMANDS = {"delay": "10 ms", "dwell": "100 ms", "rate": "5 1/s"}
 RPM = parse_unit("rpm").factor
-COLUMNS = 10
+COLUMNS = 11
 
 
 def plant_and_two_native_parts(steps: int) -> System:
@@ -38,7 +39,11 @@ def plant_and_two_native_parts(steps: int) -> System:
                 },
                 "plant": {"use": "fmus.plants.driveline", "wires": {"T_eng": "torque"}},
                 "encoder": {"use": "sensor", "of": "plant.y"},
-                "observer": {"use": "benchmarks.luenberger", "wires": {"T_eng": "torque", "y": "encoder"}},
+                "observer": {
+                    "use": "observers.luenberger",
+                    "with": {"plant": "fmus.plants.driveline", "location": 2, **DEMANDS},
+                    "wires": {"T_eng": "torque", "y": "encoder"},
+                },
             },
         }
     )
@@ -114,7 +119,8 @@ def beside_fmpy(steps: int = 10_000, rounds: int = 5) -> Measure:
 
 def _direct_fmus() -> tuple[DirectFmu, DirectFmu]:
     plant = DirectFmu(cached_fmu(driveline.MODEL), ("T_eng",), OUTPUTS, ("location",))
-    return plant, DirectFmu(cached_fmu(luenberger.MODEL), ("T_eng", "y"), ESTIMATES)
+    observer = luenberger.make("fmus.plants.driveline", location=2, delay=10e-3, dwell=0.1, rate=5.0)
+    return plant, DirectFmu(cached_fmu(observer), ("y", "T_eng"), ESTIMATES, ("location",))
 
 
 def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) -> None:
@@ -126,10 +132,11 @@ def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) 
         theta_e, omega_c, omega_p, y = plant.slave.getReal(plant.outputs)
         (location,) = plant.slave.getInteger(plant.integers)
         y = RPM * y
-        observer.slave.setReal(observer.inputs, [torque, y / RPM])
+        observer.slave.setReal(observer.inputs, [y / RPM, torque])
         observer.slave.doStep(t, STEP)
         estimates = observer.slave.getReal(observer.outputs)
-        rows[k] = torque, theta_e, omega_c, omega_p, location, y, y, *estimates
+        (found,) = observer.slave.getInteger(observer.integers)
+        rows[k] = torque, theta_e, omega_c, omega_p, location, y, y, *estimates, found
 
 
 def _check_equal(peer: str, ours: np.ndarray, theirs: np.ndarray) -> None:

@@ -1,16 +1,18 @@
 """The driveline as a PythonFMU slave: the same equations, the same RK4, crossings located by the same bisection."""
 
 import math
+from typing import Any
 
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer, Real
 
 RPM = 30.0 / math.pi
+State = tuple[float, float, float]
 
 
 class Twin(Fmi2Slave):
     """Theta_e, omega_c, omega_p in SI, location 1 to 3, y in rpm, all deviations; input T_eng in N.m."""
 
-    def __init__(self, **arguments):
+    def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
         self.tau, self.J_e, self.J_v, self.B_e, self.b_sm = 0.125, 0.15, 80.0, 0.05, 40.0
         self.k, self.k_1, self.theta_e0, self.theta_1 = 1500.0, 5000.0, 0.025, 0.015
@@ -24,14 +26,14 @@ class Twin(Fmi2Slave):
             self.register_variable(Real(name, causality=Fmi2Causality.output))
         self.register_variable(Integer("location", causality=Fmi2Causality.output))
 
-    def _derivatives(self, theta_e, omega_c, omega_p):
+    def _derivatives(self, theta_e: float, omega_c: float, omega_p: float) -> State:
         slope = self.k if self.location == 2 else self.k_1
         beyond = (self.k_1 - self.k) * self.theta_1 * (2 - self.location)
         slip = self.tau * omega_c - omega_p
         torque = slope * (theta_e + self.theta_e0) + beyond - self._equilibrium + self.b_sm * slip
         return slip, (self.T_eng - self.B_e * omega_c - self.tau * torque) / self.J_e, torque / self.J_v
 
-    def _rk4(self, x, h):
+    def _rk4(self, x: State, h: float) -> State:
         a, b, c = x
         a1, b1, c1 = self._derivatives(a, b, c)
         a2, b2, c2 = self._derivatives(a + 0.5 * h * a1, b + 0.5 * h * b1, c + 0.5 * h * c1)
@@ -44,11 +46,11 @@ class Twin(Fmi2Slave):
             c + sixth * (c1 + 2.0 * c2 + 2.0 * c3 + c4),
         )
 
-    def _location_of(self, x):
+    def _location_of(self, x: State) -> int:
         theta = x[0] + self.theta_e0
         return 1 + (theta + self.theta_1 > 0) + (theta - self.theta_1 > 0)
 
-    def do_step(self, current_time, step_size):
+    def do_step(self, current_time: float, step_size: float) -> bool:
         """Advance by one step."""
         high_side, low_side = max(self.theta_e0 - self.theta_1, 0.0), min(self.theta_e0 + self.theta_1, 0.0)
         self._equilibrium = self.k * self.theta_e0 + (self.k_1 - self.k) * (high_side + low_side)
