@@ -73,10 +73,11 @@ def _grid(scenario: Scenario, found: Findings) -> TimeGrid:
     if not stop > start:
         found.at("stop").add(f"wants a time after the start, {clock.start}, got {clock.stop}")
         return TimeGrid(start, step, 0)
-    steps = math.floor((stop - start) / step + 1e-6)
-    if steps > MOST_STEPS:
-        found.at("step").add(f"wants at most {MOST_STEPS} steps, got {steps} of {clock.step}; take a longer step")
-        steps = 0
+    ratio = (stop - start) / step
+    if ratio > MOST_STEPS:
+        found.at("step").add(f"wants at most {MOST_STEPS} steps, got {ratio:.9g} of {clock.step}; take a longer step")
+        return TimeGrid(start, step, 0)
+    steps = math.floor(ratio + 1e-6)
     if steps == 0 and not found.problems:
         found.at("step").add(f"wants at least one step up to {clock.stop}, got {clock.step}")
     return TimeGrid(start, step, steps)
@@ -86,7 +87,7 @@ def _period(every: Measure | None, grid: TimeGrid, found: Findings) -> int:
     """The period of a part in steps of the clock."""
     if every is None:
         return 1
-    ratio = found.value(every, "s") / grid.step
+    ratio = min(found.value(every, "s") / grid.step, float(MOST_STEPS))
     period = round(ratio)
     if period < 1 or abs(ratio - period) > 1e-6 * period:
         near = sorted({max(1, math.floor(ratio)), max(1, math.ceil(ratio))})
@@ -174,6 +175,8 @@ def _wires(scenario: Scenario, built: Mapping[str, _Built | None], found: Findin
         given = {"of": spec.of} if isinstance(spec, SensorPart) else spec.wires if isinstance(spec, ModelPart) else {}
         here = found.at("parts", name) if isinstance(spec, SensorPart) else found.at("parts", name, "wires")
         if part is None:
+            for input_name, text in spec.wires.items() if isinstance(spec, ModelPart) else ():
+                _find_output(text, built, here.at(input_name))
             continue
         inputs = [signal.name for signal in part.component.inputs]
         for input_name in given:

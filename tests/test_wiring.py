@@ -265,7 +265,7 @@ def test_a_controller_may_read_a_plant_and_an_observer_a_source() -> None:
         ({"step": "1 m", "stop": "1 s"}, "clock.time.step wants s, got 1 m"),
         ({"step": 1, "stop": "1 s"}, "clock.time.step wants s, got the bare number 1: write '1 s'"),
         ({"step": "2 s", "stop": "1 s"}, "clock.time.step wants at least one step up to 1.0 s, got 2.0 s"),
-        ({"step": "1 us", "stop": "1000 h"}, "clock.time.step wants at most 100000000 steps, got 3600000000000"),
+        ({"step": "1 us", "stop": "1000 h"}, "clock.time.step wants at most 100000000 steps, got 3.6e+12 of"),
     ],
 )
 def test_a_clock_that_cannot_tick_is_refused(clock: dict[str, Any], message: str) -> None:
@@ -434,6 +434,14 @@ record: [encoder, plant.why]
         "file.yaml:10:10: observer.y reads the truth, plant.torque: put a sensor between, "
         "like `torque_sensor: {use: sensor, of: plant.torque}`",
         "file.yaml:12:19: record[1]: no signal is named 'plant.why'; did you mean 'plant.y'?",
+    ]
+
+
+def test_the_wires_of_a_part_with_wrong_settings_are_checked_too() -> None:
+    found = problems(changed("observer", **{"with": {"gain": "1 m"}, "wires": {"y": "encodr", "location": "where"}}))
+    assert found == [
+        "observer.with.gain wants 1/s, got 1 m",
+        "observer.wires.y: no part is named 'encodr'; did you mean 'encoder'?",
     ]
 
 
