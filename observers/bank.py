@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,7 +62,15 @@ def nominal_automaton(plant: str, parameters: Mapping[str, Any] | None, paramete
         if parameter_set not in model.parameter_sets:
             raise ModelError(unknown(parameter_set, model.parameter_sets, f"parameter set of {plant}"))
         values |= model.parameter_sets[parameter_set]
-    return module.automaton(values | read_values(parameters or {}, model.parameters, "parameter"))
+    values |= read_values(parameters or {}, model.parameters, "parameter")
+    return _automaton(plant, tuple(sorted(values.items())))
+
+
+@lru_cache(maxsize=64)
+def _automaton(plant: str, values: tuple[tuple[str, float], ...]) -> Automaton:
+    """One object a set of values, so that the designs made for it can be kept."""
+    automaton: Automaton = importlib.import_module(plant).automaton(dict(values))
+    return automaton
 
 
 def read_values(given: Mapping[str, Any], signals: Sequence[Signal], kind: str) -> dict[str, float]:
@@ -90,15 +99,15 @@ def read_value(raw: Any, wanted: str, name: str) -> float:
     return target.from_si(source.to_si(number))
 
 
-def read_thresholds(threshold: dict[str, Any] | str, automaton: Automaton) -> Array:
+def read_thresholds(threshold: dict[str, Any] | str, automaton: Automaton) -> tuple[float, ...]:
     """eps (p,) in the outputs' units. Raises ModelError: one is missing or of another dimension."""
     if isinstance(threshold, dict):
         values = read_values(threshold, automaton.outputs, "output")
         missing = [signal.name for signal in automaton.outputs if signal.name not in values]
         if missing:
             raise ModelError(f"threshold wants a value for {', '.join(missing)}")
-        return np.array([values[signal.name] for signal in automaton.outputs])
-    return np.array([read_value(threshold, signal.unit, "threshold") for signal in automaton.outputs])
+        return tuple(values[signal.name] for signal in automaton.outputs)
+    return tuple(read_value(threshold, signal.unit, "threshold") for signal in automaton.outputs)
 
 
 def blind(automaton: Automaton) -> Automaton:

@@ -16,7 +16,8 @@ Where the paper does not hold together, and what is computed instead:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +54,7 @@ class Bound(NamedTuple):
     drive: float
 
 
+@lru_cache(maxsize=64)
 def design_gains(automaton: Automaton, rate: float, dwell: float, delay: float, fastest: float) -> tuple[Array, ...]:
     """Gains G_i (n, p) of the continuous observer, one a location, that give the rate mu = `rate` [1/s].
 
@@ -85,19 +87,20 @@ def design_gains(automaton: Automaton, rate: float, dwell: float, delay: float, 
 
 def error_bound(
     automaton: Automaton,
-    gains: Sequence[Array],
-    state_bounds: Array,
-    input_bounds: Array,
+    gains: tuple[Array, ...],
+    largest_states: tuple[float, ...],
+    largest_inputs: tuple[float, ...],
     rate: float,
     dwell: float,
     delay: float,
     guard_speed: float = np.inf,
 ) -> Bound:
-    """The radii that the error is proven to stay in, for |x_i| <= `state_bounds` (n,) and |u| <= `input_bounds` (m,).
+    """The radii the error is proven to stay in, for |x_i| <= `largest_states` (n,), |u| <= `largest_inputs` (m,).
 
     `guard_speed` bounds |d/dt (normal . x)| where a guard is crossed, in scales per second.
     A radius is infinite where its denominator is not positive. Proposition 3.3.1, corrected as the module says.
     """
+    state_bounds, input_bounds = np.array(largest_states), np.array(largest_inputs)
     published = ball = rate_radius = drive_published = drive = 0.0
     slopes, sharp_slopes = [], []
     for number, (location, gain) in enumerate(zip(automaton.locations, gains, strict=True), start=1):
@@ -107,16 +110,17 @@ def error_bound(
         if not entered:
             continue
         printed = max(_printed_drive(automaton, gain, number, i, state_bounds, input_bounds) for i in entered)
-        tight = max(
-            float(np.linalg.norm(_drive(automaton, gain, number, i, state_bounds, input_bounds))) for i in entered
-        )
+        drives = {i: _drive(automaton, gain, number, i, state_bounds, input_bounds) for i in entered}
+        tight = max(float(np.linalg.norm(one)) for one in drives.values())
         left = factor * np.exp(abscissa * (dwell - delay))
         published = max(published, _ratio(factor * printed * delay, 1.0 - np.exp(abscissa * dwell)))
         ball = max(ball, _ratio(factor * tight * delay, 1.0 - left))
         rate_radius = max(rate_radius, _ratio(factor * tight * delay, np.exp(-rate * dwell) - left))
         drive_published, drive = max(drive_published, printed), max(drive, tight)
         slopes.append((factor, factor * tight * delay))
-        sharp_slopes.append(_sharp(automaton, gain, number, state_bounds, input_bounds, dwell, delay, guard_speed))
+        sharp_slopes.append(
+            _sharp(automaton, gain, number, drives, state_bounds, input_bounds, dwell, delay, guard_speed)
+        )
     peak = max((factor * ball + driven for factor, driven in slopes), default=0.0)
     sharp = max((_ratio(driven, 1.0 - left) for _, left, driven in sharp_slopes), default=0.0)
     sharp_peak = max((largest * sharp + driven for largest, _, driven in sharp_slopes), default=0.0)
@@ -146,9 +150,9 @@ def _drive(automaton: Automaton, gain: Array, j: int, i: int, x: Array, u: Array
     sizes = np.linalg.norm(planes, axis=1)
     outside = np.array([-edge.offset for edge in leaving])
     inside = {"A_ub": planes / sizes[:, None], "b_ub": outside / sizes} if leaving else {}
-    largest = np.zeros(len(x))
+    largest = np.where(np.any(rows != 0.0, axis=1), 0.0, np.abs(constants) + np.abs(from_input) @ u)
     for index, (row, constant, added) in enumerate(zip(rows, constants, np.abs(from_input) @ u, strict=True)):
-        for sign in (1.0, -1.0):
+        for sign in (1.0, -1.0) if np.any(row) else ():
             found = linprog(-sign * row * x, bounds=[(-1.0, 1.0)] * len(x), **inside)
             if found.status == 0:
                 largest[index] = max(largest[index], -found.fun + sign * constant + added)
@@ -163,7 +167,15 @@ def _scaled_drive(automaton: Automaton, gain: Array, j: int, i: int) -> tuple[Ar
 
 
 def _sharp(
-    automaton: Automaton, gain: Array, j: int, x: Array, u: Array, dwell: float, delay: float, guard_speed: float
+    automaton: Automaton,
+    gain: Array,
+    j: int,
+    drives: Mapping[int, Array],
+    x: Array,
+    u: Array,
+    dwell: float,
+    delay: float,
+    guard_speed: float,
 ) -> tuple[float, float, float]:
     """max_t ||e^{Ft}||, max_{t >= D - Delta} ||e^{Ft}||, and the largest error that v builds up within Delta.
 
@@ -180,16 +192,15 @@ def _sharp(
     slow = -1.0 / spectral_abscissa(matrix)
     norms = np.linalg.norm(exponentials(np.linspace(0.0, 10.0 * slow, 400)), 2, axis=(1, 2))
     late = np.linalg.norm(exponentials(dwell - delay + np.linspace(0.0, 10.0 * slow, 400)), 2, axis=(1, 2))
-    times = np.linspace(0.0, delay, 201)
+    times = np.linspace(0.0, delay, 101)
     kernel = np.abs(exponentials(times))
     driven = 0.0
     for edge in automaton.transitions:
         if edge.source != j:
             continue
-        largest = _drive(automaton, gain, j, edge.target, x, u)
         growth = _growth(automaton, gain, edge.target, edge, x, u, guard_speed)
         for last in range(1, len(times)):
-            drive = np.minimum(largest, times[: last + 1, None] * growth)
+            drive = np.minimum(drives[edge.target], times[: last + 1, None] * growth)
             pushed = np.einsum("tij,tj->ti", kernel[last::-1], drive)
             driven = max(driven, float(np.linalg.norm(np.trapezoid(pushed, times[: last + 1], axis=0))))
     return float(np.max(norms)), float(np.max(late)), driven

@@ -117,7 +117,7 @@ def make(
     hidden = automaton.locations[hide - 1]
     feedback = evading_feedback(hidden, signature.location, signature.gain, automaton.scales, bandwidth)
     goal = np.array([read_value(target or f"0 {signal.unit}", signal.unit, "target") for signal in automaton.outputs])
-    if np.any(np.abs(goal) > limits):
+    if np.any(np.abs(goal) > np.array(limits)):
         raise ModelError(f"target wants a residual within the threshold {limits}, got {goal}")
     generator = sample_observer(signature.location, signature.gain, sample_time)
     return _model(automaton, hide, feedback, goal, (signature.location.C, generator), (since, until), sample_time)

@@ -80,14 +80,14 @@ def make(
     )  # fmt: skip
 
 
-def read_bounds(bounds: dict[str, Any], automaton: Automaton) -> np.ndarray:
+def read_bounds(bounds: dict[str, Any], automaton: Automaton) -> tuple[float, ...]:
     """Largest |x| (n,), then |u| (m,), in their units. Raises ModelError: one is missing, or of another dimension."""
     signals = (*automaton.states, *automaton.inputs)
     values = read_values(bounds, signals, "state or input")
     missing = [signal.name for signal in signals if signal.name not in values]
     if missing:
         raise ModelError(f"bounds want the largest deviation of {', '.join(missing)} too")
-    return np.array([values[signal.name] for signal in signals])
+    return tuple(values[signal.name] for signal in signals)
 
 
 def _bound_signals(bound: Bound) -> tuple[Signal, ...]:
@@ -102,7 +102,7 @@ def _bound_signals(bound: Bound) -> tuple[Signal, ...]:
 def signature_rule(
     automaton: Automaton,
     signatures: Sequence[Signature],
-    limits: np.ndarray,
+    limits: tuple[float, ...],
     rules: Rules,
     persistence: int,
     initial_location: int,
@@ -159,7 +159,7 @@ def signature_rule(
         parameters=(
             *sampled_signals("generator", generators),
             Signal("generator_output", "1", outputs, "C by signature", shape=outputs.shape),
-            Signal("threshold", "1", limits, "eps by output, in its unit", shape=limits.shape),
+            Signal("threshold", "1", limits, "eps by output, in its unit", shape=(len(limits),)),
             Signal("persistence", "1", float(persistence), "samples in a row that turn a decision"),
             Signal("guard_normal", "1", normals, "guards' normals, by edge", shape=normals.shape),
             Signal("guard_offset", "1", offsets, "guards' offsets, by edge", shape=offsets.shape),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,8 +69,9 @@ def _indistinguishable(one: Location, other: Location, scales: Array) -> bool:
     return bool(missed <= NEGLIGIBLE * max(float(np.linalg.norm(step)), 1.0))
 
 
+@lru_cache(maxsize=64)
 def design_signatures(
-    automaton: Automaton, delay: float, threshold: Array, entry_error: float, fastest: float
+    automaton: Automaton, delay: float, threshold: tuple[float, ...], entry_error: float, fastest: float
 ) -> tuple[Signature, ...]:
     """The generators whose own residual is within the threshold a time `delay` [s] after their location is entered.
 
@@ -80,7 +82,7 @@ def design_signatures(
 
     Raises ModelError: a demand that is not positive or cannot be met with poles up to `fastest` [1/s].
     """
-    for name, value in (("delay", delay), ("entry_error", entry_error), ("threshold", float(np.min(threshold)))):
+    for name, value in (("delay", delay), ("entry_error", entry_error), ("threshold", min(threshold))):
         if not value > 0.0:
             raise ModelError(f"{name} wants a value above 0, got {value:g}")
     signatures = []
@@ -93,7 +95,8 @@ def design_signatures(
         def satisfied(gain: Array, location: Location = location) -> bool:
             return spectral_abscissa(error_matrix(location, gain, automaton.scales)) <= bound(gain, location)
 
-        demand = f"a delay of {delay:g} s with threshold {threshold} and entry error {entry_error:g} (Eq. 9)"
+        limits = ", ".join(f"{limit:g}" for limit in threshold)
+        demand = f"a delay of {delay:g} s with threshold {limits} and entry error {entry_error:g} (Eq. 9)"
         try:
             gain = slowest_gain(location, automaton.scales, satisfied, fastest, demand)
         except ModelError as error:
@@ -104,11 +107,11 @@ def design_signatures(
 
 
 def settling_abscissa(
-    location: Location, gain: Array, scales: Array, delay: float, threshold: Array, entry_error: float
+    location: Location, gain: Array, scales: Array, delay: float, threshold: tuple[float, ...], entry_error: float
 ) -> float:
     """Right-hand side of Eq. 9 for one generator, 1/s."""
     matrix = error_matrix(location, gain, scales)
-    output_norm = float(np.linalg.norm(location.C * scales / threshold[:, None], 2))
+    output_norm = float(np.linalg.norm(location.C * scales / np.array(threshold)[:, None], 2))
     return -np.log(output_norm * overshoot(matrix) * entry_error) / delay
 
 
