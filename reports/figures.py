@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Drawing
@@ -87,8 +87,12 @@ def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, la
     high = high if high > low else low + 1.0
     norm = LogNorm(low, high) if positive else Normalize(low, high)
     with matplotlib.rc_context(STYLE | {"axes.grid": False}):
-        width = 1.0 + 0.068 * max(map(len, rows)) + 1.25 * len(columns)
-        drawing = Drawing(figsize=(min(max(width, 5.0), 11.0), 1.0 + 0.27 * len(rows)), layout="constrained")
+        headings = [fill(column, 17) for column in columns]
+        lines = max(heading.count("\n") for heading in headings) + 1
+        width = 1.4 + 0.075 * max(map(len, rows)) + 1.25 * len(columns)
+        drawing = Drawing(
+            figsize=(min(max(width, 4.5), 11.5), 0.35 + 0.18 * lines + 0.27 * len(rows)), layout="constrained"
+        )
         axis = drawing.subplots()
         colours = matplotlib.colormaps["cividis_r"].with_extremes(bad="none", over="none")
         mesh = axis.pcolormesh(
@@ -105,14 +109,14 @@ def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, la
             dark = np.isfinite(value) and float(norm(value)) > 0.55
             colour = INK if not np.isfinite(value) else "white" if dark else "black"
             axis.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=colour, fontsize=9)
-        axis.set_xticks(np.arange(len(columns)) + 0.5, columns)
+        axis.set_xticks(np.arange(len(columns)) + 0.5, headings)
         axis.set_yticks(np.arange(len(rows)) + 0.5, rows)
         axis.xaxis.tick_top()
         axis.tick_params(length=0)
         axis.invert_yaxis()
         axis.spines[:].set_visible(False)
         if len(finite):
-            bar = drawing.colorbar(mesh, ax=axis, label=label, pad=0.02, fraction=0.05)
+            bar = drawing.colorbar(mesh, cax=axis.inset_axes((1.03, 0.0, 0.03, 1.0)), label=label)
             ticks = (np.geomspace if positive else np.linspace)(low, high, 3).tolist()
             bar.set_ticks(ticks, labels=[short(tick, 2) for tick in ticks])
             bar.minorticks_off()
@@ -128,7 +132,7 @@ def error_histograms(errors: Sequence[Errors], titles: Sequence[str], colours: S
     )
     edges = np.linspace(-reach, reach, BINS + 1)
     with matplotlib.rc_context(STYLE):
-        drawing = Drawing(figsize=(9.6, 0.8 + 0.95 * len(errors)), layout="constrained")
+        drawing = Drawing(figsize=(9.6, 0.8 + 1.1 * len(errors)), layout="constrained")
         axes = drawing.subplots(len(errors), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for pooled, title, colour, axis in zip(errors, titles, colours, axes, strict=True):
             total = max(len(pooled.values), 1)
@@ -139,7 +143,7 @@ def error_histograms(errors: Sequence[Errors], titles: Sequence[str], colours: S
             axis.set_yticks([0.001, 0.1, 10], labels=["0.001", "0.1", "10"])
             axis.set_ylim(bottom=1e-3, top=100)
             axis.axvline(0.0, color=INK, linewidth=0.7)
-            _corner(axis, f"{title}: {_spread(pooled.values, unit)}")
+            axis.set_title(f"{title}: {_spread(pooled.values, unit)}", loc="left", fontsize=9)
         drawing.supylabel("share of samples [%]", fontsize=9.5)
         axes[-1].set_xlabel(f"estimate - {errors[0].pair.truth} [{unit}]")
         return svg(drawing, name)
@@ -178,7 +182,7 @@ def delays(
     reach = max((float(values.max()) for values in finite if len(values)), default=0.0) or 1.0
     edges = np.linspace(0.0, reach * 1.0001, BINS // 2 + 1)
     with matplotlib.rc_context(STYLE):
-        drawing = Drawing(figsize=(5.6, 0.9 + 1.5 * len(samples)), layout="constrained")
+        drawing = Drawing(figsize=(5.6, 0.9 + 1.6 * len(samples)), layout="constrained")
         axes = drawing.subplots(len(samples), 1, sharex=True, squeeze=False)[:, 0]
         for (observer, values), found, axis in zip(samples.items(), finite, axes, strict=True):
             counts, _ = np.histogram(found, edges)
@@ -193,7 +197,9 @@ def delays(
                 if len(values) and np.isfinite(level := np.quantile(values, share, method="inverted_cdf")):
                     axis.axvline(float(level), color=INK, linewidth=1.0, linestyle=style)
             missed = len(values) - len(found)
-            _corner(axis, f"{titles.get(observer, observer)}: {len(values)} changes, {missed} missed")
+            axis.set_title(
+                f"{titles.get(observer, observer)}: {len(values)} changes, {missed} missed", loc="left", fontsize=9
+            )
             axis.set_ylabel("share [%]")
         axes[-1].set_xlabel(f"delay [{unit}]  (line: median, dashed: p95)")
         return svg(drawing, name)
@@ -211,10 +217,6 @@ def svg(drawing: Drawing, name: str) -> str:
     text = re.sub(r'href="#([^"]+)"', rf'href="#{name}-\1"', text)
     text = re.sub(r"font: ([\d.]+px) [^;\"]+", r"font-size: \1", text)
     return text.replace(INK, "currentColor").strip()
-
-
-def _corner(axis: Axes, text: str) -> None:
-    axis.annotate(text, (0.01, 0.96), xycoords="axes fraction", va="top", fontsize=9)
 
 
 def _spread(values: Vector, unit: str) -> str:

@@ -164,7 +164,7 @@ def _detections(run: Run) -> list[dict[str, Any]]:
                         "missed": int(np.isinf(pooled).sum()),
                         "median": _nearest_rank(pooled, 0.5),
                         "p95": _nearest_rank(pooled, 0.95),
-                        "unit": standing.unit_of(run, f"{name}.delay_median"),
+                        "unit": standing.unit_of(run, f"{name}.delay"),
                         "alarms": _mean(cases, f"{name}.false_alarms_per_min"),
                         "alarms_unit": standing.unit_of(run, f"{name}.false_alarms_per_min"),
                         "accuracy": _mean(cases, f"{name}.accuracy"),
@@ -180,7 +180,7 @@ def _delays(run: Run) -> Markup | str:
     found = {observer: samples for observer, samples in found.items() if len(samples)}
     if not found:
         return ""
-    unit = standing.unit_of(run, f"{_detection_names(run)[0]}.delay_median")
+    unit = standing.unit_of(run, f"{_detection_names(run)[0]}.delay")
     return Markup(figures.delays(found, unit, standing.observers(run), part_colours(run), "delays"))
 
 

@@ -145,8 +145,11 @@ def observer_of(run: Run, metric: str) -> str:
 
 
 def unit_of(run: Run, metric: str) -> str:
-    """The unit the metric's values are in."""
-    return next((case.metrics[metric].unit for case in run.cases if metric in case.metrics), "1")
+    """The unit the metric's values are in; samples named `located.delay` are in that of `located.delay_median`."""
+    units = (
+        case.metrics[name].unit for case in run.cases for name in (metric, f"{metric}_median") if name in case.metrics
+    )
+    return next(units, "1")
 
 
 def standing(

@@ -127,6 +127,8 @@ def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
         columns = read_columns(run, case, [name for group in groups for name in group])
     except (KeyError, RunFolderError) as error:
         return Figure(title, case, problem=str(error.args[0]))
+    if not len(columns.time):
+        return Figure(title, case, problem=f"the record of {case.label} ({case.outcome}) has no rows")
     unit = str(entry.get("unit") or "")
     panels = [_panel(run, group, columns.time, columns.signals, entry.get("lines") or {}, unit) for group in groups]
     return Figure(title, case, tuple(panels), fault_windows(run, case, float(columns.time[-1])))

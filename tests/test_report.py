@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
+import pyarrow.parquet as pq
 import pytest
 from test_report_folder import CRITERIA, METRICS, REPORT, build_run
 
@@ -18,7 +19,7 @@ from reports.interactive import interactive
 from reports.numbers import short, with_unit
 from reports.provenance import ranges
 from reports.signals import envelope
-from reports.standing import leaderboard, quantities, standing
+from reports.standing import leaderboard, quantities, standing, unit_of
 from reports.traces import declared_figures
 
 FAILING = "mismatch: plant.k = 1800 N.m/rad, seed = 2"
@@ -80,7 +81,7 @@ def failed_page(tmp_path_factory):
     criteria = [
         *CRITERIA,
         {"text": "rmse_open_loop < 1e-3 rad", "experiment": "mismatch", "value": 0.0315, "bound": 1e-3, "unit": "rad"}
-        | {"passed": False, "reason": "1 case failed"},
+        | {"passed": False, "reason": "0.0315 rad is not < 0.001 rad in figure_6: seed = 1"},
     ]
     return page_of(build_run(tmp_path_factory.mktemp("failed"), failing=[FAILING], criteria=criteria))
 
@@ -103,7 +104,8 @@ def test_every_criterion_has_a_row_with_value_bound_and_worst_case(failed_page):
     text = failed_page.text("criteria")
     assert "✓ passed rmse_hybrid < 0.01 rad all 0.0021 rad 0.01 rad figure_6: seed = 1" in text
     assert "✓ passed p95(located.delay) < 20 ms figure_6 12 ms 20 ms" in text
-    assert "✗ failed rmse_open_loop < 1e-3 rad mismatch 0.0315 rad 0.001 rad figure_6: seed = 1 1 case failed" in text
+    failed = "✗ failed rmse_open_loop < 1e-3 rad mismatch 0.0315 rad 0.001 rad figure_6: seed = 1"
+    assert f"{failed} 0.0315 rad is not < 0.001 rad" in text
 
 
 def test_the_page_fetches_nothing_from_elsewhere(failed_page):
@@ -136,7 +138,7 @@ def test_provenance_says_what_was_run_and_that_the_tool_is_not_qualified(failed_
     text = failed_page.text("provenance")
     for expected in ("0123456789abcdef", "ab" * 32, "cd" * 32, "1..3", "time step 2 ms", "solver.method", "numpy 2.4"):
         assert expected in text
-    assert "torque → plant → encoder → hybrid → open_loop (9 cases) No wire is held" in text
+    assert "torque → plant → encoder → hybrid → open_loop (9 of the cases) No wire is held" in text
     assert "the plant's FMU names no unit for tau 9" in text
     assert "located detection of [plant.location, hybrid.location] How fast a location is found." in text
     assert "not a qualified tool" in text
@@ -146,6 +148,19 @@ def test_published_values_stand_beside_ours_and_a_gap_is_said(failed_page):
     text = failed_page.text("published")
     assert "settles in location 2 0.0002 rad (median of 3; 0.0002 to 0.0002) figure_6" in text
     assert "no_such_metric: no case of the campaign has it" in text
+
+
+def test_pooled_samples_carry_the_unit_of_their_median(tmp_path):
+    run = read_run(build_run(tmp_path))
+    assert unit_of(run, "located.delay") == "s"
+
+
+def test_a_case_that_failed_before_its_first_row_has_its_place(tmp_path):
+    run = read_run(build_run(tmp_path, seeds=1, failing=["figure_6: seed = 1"]))
+    path = tmp_path / "cases" / run.cases[0].key / "signals.parquet"
+    pq.write_table(pq.read_table(path).slice(0, 0), path)
+    page = page_of(tmp_path)
+    assert "the record of figure_6: seed = 1 (diverged) has no rows" in page.text("figures")
 
 
 def test_a_run_that_was_not_judged_is_incomplete(tmp_path):
