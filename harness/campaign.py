@@ -5,20 +5,20 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from fmus.component import ConfigurationError, Problem
 from fmus.model import unknown
-from fmus.units import UnitError
-from harness.campaignfile import CampaignFile, Limits
-from harness.criteria import Criterion, CriterionError, parse_criterion
-from harness.definitions import Definition, results
+from harness.campaignfile import CampaignFile
+from harness.criteria import Criterion
+from harness.definitions import Definition
 from harness.expansion import PathError, Setting, apply, combine, locate, put, read_axes, shown
 from harness.fingerprint import case_key
-from harness.places import KeyPath, Place, Places, read_yaml, read_yaml_file
+from harness.places import KeyPath, Move, Place, Places, read_yaml, read_yaml_file
+from harness.references import name_problems, read_criteria, reference_problems
 from harness.reportsection import ReportSection
 from harness.scenario import Scenario
 from harness.validation import validate
@@ -69,10 +69,13 @@ def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
     problems: list[Problem] = []
     document, places, on_top = _override(document, places, overrides, problems)
     checked, found = validate(CampaignFile, document, places)
-    problems += [*found, *_name_problems(document, places)]
-    cases = list(_cases(document, places, on_top, file.parent, problems))
-    criteria = list(_criteria(document, places, problems))
-    problems += _reference_problems(document, places)
+    problems += [*found, *name_problems(document, places)]
+    told = {problem[1:] for problem in found}
+    of_cases: list[Problem] = []
+    cases = list(_cases(document, places, on_top, file.parent, of_cases))
+    problems += [problem for problem in of_cases if problem[1:] not in told]
+    criteria = list(read_criteria(document, places, problems))
+    problems += reference_problems(document, places)
     if problems or checked is None:
         raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda one: (one.file, one.line, one.column)))
     return Campaign(
@@ -139,7 +142,7 @@ def _override(
         except PathError as error:
             problems.append(Problem(str(error), *place))
             continue
-        places = places.moved(target, place, place)
+        places = places.moved([Move(target, place, place)])
         if target[0] in SCENARIO_KEYS:
             on_top.append(Setting(path.strip(), value, place, place))
     return document, places, on_top
@@ -162,20 +165,6 @@ def _target(path: str, document: Mapping[str, Any]) -> KeyPath:
     return locate(path, document)
 
 
-def _name_problems(document: Mapping[str, Any], places: Places) -> Iterator[Problem]:
-    """Names that could not be told apart from others in a path."""
-    for section in ("parts", "metrics", "experiments"):
-        named = document.get(section)
-        for name in named if isinstance(named, dict) else ():
-            if not name.isidentifier():
-                message = f"{section}: a name wants letters, digits and _, got '{name}'"
-                yield places.key_problem(message, section, name)
-            elif section == "parts" and name in ("clock", "seed", "record"):
-                yield places.key_problem(
-                    f"parts: '{name}' is a key of the campaign; name the part otherwise", "parts", name
-                )
-
-
 def _cases(
     document: Mapping[str, Any], places: Places, on_top: Sequence[Setting], folder: Path, problems: list[Problem]
 ) -> Iterator[Case]:
@@ -192,6 +181,12 @@ def _cases(
         raw_overrides, raw_axes = body.get("set") or {}, body.get("vary") or {}
         if not isinstance(raw_overrides, dict) or not isinstance(raw_axes, dict):
             continue
+        own_parts = body.get("parts") or {}
+        if isinstance(own_parts, dict) and isinstance(scenario.get("parts"), dict):
+            variant = {**scenario, "parts": {**scenario["parts"], **own_parts}}
+        else:
+            variant = scenario
+        standing = places.mirrored((*below, "parts"), ("parts",))
         overrides = [
             Setting(path, value, places.of((*below, "set", path)), places.of((*below, "set", path), places.keys))
             for path, value in raw_overrides.items()
@@ -204,7 +199,7 @@ def _cases(
             target = ".".join(map(str, (*below, "vary", path)))
             problems.append(Problem(f"the campaign varies {path}; write {target}='[...]' to vary it otherwise", *place))
         for point in combine(axes):
-            yield from _case(scenario, places, name, [*overrides, *point, *on_top], point, folder, problems)
+            yield from _case(variant, standing, name, [*overrides, *point, *on_top], point, folder, problems)
 
 
 def _case(
@@ -225,78 +220,3 @@ def _case(
     varied = ", ".join(f"{path} = {value}" for path, value in values.items())
     label = ": ".join(part for part in (experiment, varied) if part) or "as declared"
     yield Case(case_key(checked, experiment, folder), label, experiment, values, checked, places)
-
-
-def _criteria(document: Mapping[str, Any], places: Places, problems: list[Problem]) -> Iterator[Criterion]:
-    """The criteria, read as far as the metrics they speak of are in order."""
-    metrics, broken = _metrics(document)
-    known = results(metrics)
-    named = list(_mapping(document, "experiments"))
-    experiments = named or [""]
-    written = document.get("accept")
-    for index, entry in enumerate(written if isinstance(written, list) else ()):
-        for experiment, text in entry.items() if isinstance(entry, dict) else [("", entry)]:
-            where: KeyPath = ("accept", index, experiment) if isinstance(entry, dict) else ("accept", index)
-            if not isinstance(text, str):
-                continue
-            if experiment and experiment not in experiments:
-                problems.append(places.key_problem(unknown(experiment, named, "experiment"), *where))
-            try:
-                criterion = parse_criterion(text, known)
-            except CriterionError as error:
-                if not any(name in text for name in broken):
-                    place = places.of(where)
-                    problems.append(place_at(f"accept: {error}", place, error.offset))
-                continue
-            speaks_of = {known[side.metric][0] for side in (criterion.left, criterion.right) if side.metric}
-            asked = [experiment] if experiment else experiments
-            covered = [name for name in asked if all(metrics[metric].covers(name) for metric in speaks_of)]
-            if not covered:
-                message = f"accept: '{text}' covers no experiment: its metrics are measured elsewhere"
-                problems.append(places.problem(message, *where))
-            yield replace(criterion, experiment=experiment, covered=tuple(covered))
-
-
-def place_at(message: str, place: Place, offset: int) -> Problem:
-    """A Problem `offset` characters into the value at `place`."""
-    return Problem(message, place.file, place.line, place.column and place.column + offset)
-
-
-def _metrics(document: Mapping[str, Any]) -> tuple[dict[str, Definition], list[str]]:
-    """The metrics that are in order, and the names of the others."""
-    checked = {name: validate(Definition, raw, Places())[0] for name, raw in _mapping(document, "metrics").items()}
-    sound = {name: definition for name, definition in checked.items() if definition is not None}
-    return sound, [name for name in checked if name not in sound]
-
-
-def _mapping(document: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-    found = document.get(key)
-    return found if isinstance(found, dict) else {}
-
-
-def _reference_problems(document: Mapping[str, Any], places: Places) -> Iterator[Problem]:
-    """Names in metrics and the report that name nothing, and a limit that is no time."""
-    metrics, broken = _metrics(document)
-    experiments = list(_mapping(document, "experiments"))
-    for name, definition in metrics.items():
-        for index, only in enumerate(definition.only or []):
-            if only not in experiments:
-                message = f"metrics.{name}: {unknown(only, experiments, 'experiment')}"
-                yield places.problem(message, "metrics", name, "only", index)
-    names = {
-        "metric": [*metrics, *broken, *results(metrics)],
-        "experiment": experiments,
-        "part": list(_mapping(document, "parts")),
-    }
-    report, _ = validate(ReportSection, _mapping(document, "report"), places)
-    for path, kind, name in report.references() if report is not None else ():
-        if name not in names[kind]:
-            yield places.problem(f"report: {unknown(name, names[kind], kind)}", "report", *path)
-    limits, _ = validate(Limits, _mapping(document, "limits"), places)
-    if limits is None:
-        return
-    try:
-        if limits.case.si("s") <= 0:
-            yield places.problem(f"limits.case wants a time above 0 s, got {limits.case}", "limits", "case")
-    except UnitError as error:
-        yield places.problem(f"limits.case {error}", "limits", "case")

@@ -12,9 +12,10 @@ from harness.scenario import Clock, Measure, Part, Quantity, Strict
 
 
 class Experiment(Strict):
-    """A named variant of the campaign: overrides, and axes of its own."""
+    """A named variant of the campaign: parts, overrides and axes of its own."""
 
     description: str = ""
+    parts: dict[str, Part] = Field(default_factory=dict, description="added to the campaign's, or in their place")
     overrides: dict[str, Any] = Field(default_factory=dict, alias="set", description="path: value")
     vary: dict[str, Any] = Field(default_factory=dict, description="path, or paths: values")
 

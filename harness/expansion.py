@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from fmus.component import Problem
 from fmus.model import unknown
-from harness.places import KeyPath, Place, Places
+from harness.places import KeyPath, Move, Place, Places
 from harness.scenario import MODEL, PART_KINDS, part_kind
 from harness.validation import known_keys
 
@@ -98,6 +98,7 @@ def apply(
     """The scenario with all settings put at their paths, the places that follow, and the paths that lead nowhere."""
     document = copy.deepcopy(dict(scenario))
     problems = []
+    moves = []
     for name, value, place, key in settings:
         try:
             path = locate(name, document)
@@ -105,8 +106,8 @@ def apply(
         except PathError as error:
             problems.append(Problem(f"{name}: {error}", *key))
         else:
-            places = places.moved(path, place, key)
-    return document, places, problems
+            moves.append(Move(path, place, key))
+    return document, places.moved(moves), problems
 
 
 def read_axes(raw: Any, places: Places, below: KeyPath) -> tuple[list[Axis], list[Problem]]:

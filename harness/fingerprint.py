@@ -9,7 +9,8 @@ import json
 import re
 from collections.abc import Iterable
 from functools import cache
-from importlib.metadata import version
+from importlib import metadata
+from importlib.machinery import PathFinder
 from pathlib import Path
 
 from harness.scenario import ModelPart, Scenario
@@ -32,7 +33,7 @@ def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
         "experiment": experiment,
         "parts": {name: _content(part, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)},
         "common": _sources_digest(COMMON),
-        "version": version("crankbench"),
+        "version": _version(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -50,6 +51,11 @@ def _names_in(settings: object) -> list[str]:
     if isinstance(settings, dict):
         return [name for value in settings.values() for name in _names_in(value)]
     return [settings] if isinstance(settings, str) and _MODULE.match(settings) else []
+
+
+@cache
+def _version() -> str:
+    return metadata.version("crankbench")
 
 
 @cache
@@ -86,24 +92,31 @@ def _closure(modules: Iterable[str]) -> list[tuple[str, Path]]:
     return sorted(found.items())
 
 
+@cache
 def _source(name: str) -> Path | None:
-    """The Python source of a module; None where there is none (then wiring says what is wrong with it)."""
-    if not name:
-        return None
+    """The Python source of a module, found without importing it; None where there is none."""
+    head, *rest = name.split(".")
     try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError):
+        spec = importlib.util.find_spec(head)
+    except ValueError:
         return None
+    full = head
+    for step in rest:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        full = f"{full}.{step}"
+        spec = PathFinder.find_spec(full, spec.submodule_search_locations)
     origin = spec.origin if spec is not None else None
     return Path(origin) if origin is not None and origin.endswith(".py") else None
 
 
-def _imports(path: Path, module: str) -> list[str]:
+@cache
+def _imports(path: Path, module: str) -> tuple[str, ...]:
     """The modules that a source file imports, `from x import y` as both x and x.y."""
     try:
         tree = ast.parse(path.read_bytes())
     except SyntaxError:
-        return []
+        return ()
     names: list[str] = []
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     for node in ast.walk(tree):
@@ -115,4 +128,10 @@ def _imports(path: Path, module: str) -> list[str]:
                 parents = package.split(".")[: len(package.split(".")) - node.level + 1]
                 base = ".".join([*parents, base] if base else parents)
             names += [base, *(f"{base}.{alias.name}" for alias in node.names)]
-    return names
+    return tuple(names)
+
+
+def forget_sources() -> None:
+    """Read all sources anew: a process reads each once otherwise."""
+    for cached in (_source, _imports, _sources_digest):
+        cached.cache_clear()

@@ -25,6 +25,14 @@ class Place(NamedTuple):
     column: int = 0
 
 
+class Move(NamedTuple):
+    """A value at `path` that was written at `place`, and asked for at `key`."""
+
+    path: KeyPath
+    place: Place
+    key: Place
+
+
 @dataclass(frozen=True)
 class Places:
     """Where the keys and values of a document stand, by their path like ("parts", "plant", "with", "k")."""
@@ -49,14 +57,34 @@ class Places:
         """A Problem at the key that ends `path`."""
         return Problem(message, *self.of(path, self.keys))
 
-    def moved(self, path: KeyPath, place: Place, key: Place) -> Places:
-        """The same places, but what is at `path` and below was written at `place`, and asked for at `key`."""
-        values = {known: spot for known, spot in self.values.items() if known[: len(path)] != path}
-        keys = {known: spot for known, spot in self.keys.items() if known[: len(path)] != path}
-        for made in (path[:length] for length in range(1, len(path))):
-            values.setdefault(made, key)
-            keys.setdefault(made, key)
-        return Places(self.file, values | {path: place}, keys | {path: key})
+    def mirrored(self, source: KeyPath, target: KeyPath) -> Places:
+        """The same places, with what stands below `source` found below `target` too."""
+        tables = []
+        for table in (self.values, self.keys):
+            inside = {path[len(source) :]: spot for path, spot in table.items() if path[: len(source)] == source}
+            replaced = {path[0] for path in inside if path}
+            kept = {path: spot for path, spot in table.items() if not _is_below(path, target, replaced)}
+            tables.append(kept | {(*target, *path): spot for path, spot in inside.items() if path})
+        return Places(self.file, *tables)
+
+    def moved(self, moves: Sequence[Move]) -> Places:
+        """The same places, but what is at the path of each move, and below, was written elsewhere."""
+        values, keys = dict(self.values), dict(self.keys)
+        for path, place, key in moves:
+            for table in (values, keys):
+                if path in table:
+                    for known in [known for known in table if known[: len(path)] == path]:
+                        del table[known]
+            for made in (path[:length] for length in range(1, len(path))):
+                values.setdefault(made, key)
+                keys.setdefault(made, key)
+            values[path], keys[path] = place, key
+        return Places(self.file, values, keys)
+
+
+def _is_below(path: KeyPath, target: KeyPath, names: set[str | int]) -> bool:
+    depth = len(target)
+    return len(path) > depth and path[:depth] == target and path[depth] in names
 
 
 def read_yaml(text: str, file: str = "") -> tuple[Any, Places]:

@@ -6,9 +6,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from fmus.component import ConfigurationError, Problem, Signal
-from harness.campaign import Campaign, Case, place_at
+from harness.campaign import Campaign, Case
 from harness.criteria import bound_misfit
 from harness.definitions import misfits, results, shown_unit
+from harness.references import place_at
 from harness.validation import nearest_hint
 from harness.wiring import wire
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fmus.component import ConfigurationError
 from harness.campaign import built_in_campaigns, find_campaign, read_campaign
 from harness.cli import schema_text
-from harness.fingerprint import _sources_digest
+from harness.fingerprint import forget_sources
 from harness.places import read_yaml, read_yaml_file
 
 GOOD = """\
@@ -89,6 +89,37 @@ experiments:
     assert [case.label for case in cases] == ["small", "noisy: seed = 3", "noisy: seed = 4"]
     assert [str(case.scenario.parts["torque"].step.to) for case in cases] == ["-1.0 N.m", "-10.0 N.m", "-10.0 N.m"]
     assert [str(case.scenario.parts["encoder"].noise.std) for case in cases] == ["0.5 rpm", "5.0 rpm", "5.0 rpm"]
+
+
+def test_an_experiment_may_add_parts_and_replace_them(tmp_path):
+    addition = """\
+experiments:
+  plain: {}
+  shaken:
+    parts:
+      shaker: {use: source, unit: N.m, constant: 3 N.m}
+      encoder: {use: sensor, of: shaker, noise: {std: 1 N.m}}
+    set: {plant.wires.T_eng: shaker, shaker.constant: 4 N.m}
+"""
+    plain, shaken = (case.scenario.parts for case in campaign(tmp_path, GOOD + addition).cases)
+    assert list(plain) == ["torque", "plant", "encoder"]
+    assert list(shaken) == ["torque", "plant", "encoder", "shaker"]
+    assert (shaken["encoder"].of, str(shaken["shaker"].constant)) == ("shaker", "4.0 N.m")
+
+
+def test_what_is_wrong_with_a_part_of_an_experiment_is_told_once_and_there(tmp_path):
+    addition = """\
+experiments:
+  shaken:
+    parts:
+      shaker: {use: source, unit: N.m, constnt: 3 N.m}
+      "a b": {use: sensor, of: plant.y}
+    set: {shaker.unit: rad}
+"""
+    assert problems(tmp_path, GOOD + addition) == [
+        "20:40: unknown key 'constnt' in experiments.shaken.parts.shaker; did you mean 'constant'?",
+        "21:7: parts: a name wants letters, digits and _, got 'a b'",
+    ]
 
 
 def test_an_override_stands_above_the_file_and_its_experiments(tmp_path):
@@ -280,8 +311,7 @@ def test_the_key_follows_a_module_beside_the_file_and_what_it_imports(tmp_path, 
     for file in (None, *files):
         if file is not None:
             file.write_text(f"{file.read_text()}# changed\n")
-        # A process reads each source once.
-        _sources_digest.cache_clear()
+        forget_sources()
         found += keys(tmp_path, text)
     as_it_was, package, plant, gears, unused = found
     assert len({as_it_was, package, plant, gears}) == 4
