@@ -60,6 +60,7 @@ def render(run: Run) -> str:
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         verdict=verdict(run),
         outcomes=Counter(case.outcome for case in run.cases).most_common(),
+        causes=Counter((case.outcome, case.message) for case in run.failed).most_common(),
         labels={case.key: case.label for case in run.cases},
         titles=titles,
         leaderboards=[(quantity, standing.leaderboard(run, quantity)) for quantity in comparable],

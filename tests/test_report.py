@@ -100,6 +100,13 @@ def test_a_run_with_a_failed_case_is_not_accepted_and_names_it(failed_page):
         assert expected in failed_page.text("failures")
 
 
+def test_failures_of_one_cause_are_counted_and_still_listed_one_by_one(tmp_path):
+    failing = [f"figure_6: seed = {seed}" for seed in (1, 2)]
+    text = page_of(build_run(tmp_path, rows=50, failing=failing)).text("failures")
+    assert "2 times diverged : open_loop.theta_e is nan" in text
+    assert all(label in text for label in failing)
+
+
 def test_every_criterion_has_a_row_with_value_bound_and_worst_case(failed_page):
     text = failed_page.text("criteria")
     assert "✓ passed rmse_hybrid < 0.01 rad all 0.0021 rad 0.01 rad figure_6: seed = 1" in text
