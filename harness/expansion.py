@@ -148,6 +148,8 @@ def shown(value: Any) -> str:
     """A value as text, as the labels and the tables have it."""
     if isinstance(value, str):
         return value
+    if isinstance(value, float):
+        return f"{value:.12g}"
     return json.dumps(value) if isinstance(value, (dict, list)) or value is None else str(value)
 
 
