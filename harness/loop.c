@@ -62,6 +62,23 @@ typedef struct {
     int64_t k;      /* the instant it was stepped to */
 } Stop;
 
+/* A part written in Python. `call` cannot pass on what is raised, not even a signal that arrives at its first line, so
+ * the step counts as FATAL unless Python says otherwise at its last. */
+typedef struct {
+    void (*call)(double t, double h);
+    int64_t status;
+} PythonPart;
+
+EXPORT int crankbench_python_step(void *self, double t, double h, const double *u, double *y)
+{
+    PythonPart *part = (PythonPart *)self;
+    (void)u;
+    (void)y;
+    part->status = FATAL;
+    part->call(t, h);
+    return (int)part->status;
+}
+
 /* Steps from instant `from` to instant `to`, t_k = t0 + k h, and writes rows from+1 ... to, each of `columns` doubles.
  * Returns OK; or the status above WARNING, or DIVERGED, that stopped it: then `stop` says where, and the row of that
  * instant is not written. */

@@ -31,9 +31,13 @@ from __future__ import annotations
 
 import ctypes
 import math
+import signal
+import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -41,7 +45,7 @@ from numpy.typing import NDArray
 
 from fmus.component import DIVERGED, ERROR, FATAL, OK, STATUS_NAMES, WARNING, Component, Native, StepError, Vector
 from fmus.units import parse_unit
-from harness.native import address, library
+from harness.native import address, library, native_step
 from harness.record import Record
 from harness.system import Slot, System
 
@@ -51,9 +55,11 @@ KEPT_TIMES = 256
 # Between pieces of about this long the run answers to the keyboard and tells its progress.
 PIECE_SECONDS = 0.05
 
-_StepFunction = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
-)
+_Call = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double)
+
+
+class _PythonPart(ctypes.Structure):
+    _fields_ = [("call", _Call), ("status", ctypes.c_int64)]
 
 
 class _Part(ctypes.Structure):
@@ -86,18 +92,45 @@ class _Callback:
     def __init__(self, component: Component, u: Vector, y: Vector) -> None:
         self.component, self.u, self.y = component, u, y
         self.raised: BaseException | None = None
-        self.function = _StepFunction(self._step)
+        self.state = _PythonPart(_Call(self._step), OK)
 
-    def _step(self, _self: object, t: float, h: float, _u: object, _y: object) -> int:
+    def native(self) -> Native:
+        """The step for C."""
+        return native_step("crankbench_python_step", self.state)
+
+    def _step(self, t: float, h: float) -> None:
         try:
             outputs = self.component.step(t, h, self.u.copy())
             if len(outputs) != len(self.y):
                 raise ValueError(f"step wants to return {len(self.y)} outputs, got {len(outputs)}")
             self.y[:] = outputs
+            self.state.status = OK
         except BaseException as error:
             self.raised = error
-            return FATAL
-        return OK
+
+
+@contextmanager
+def _interrupts_kept() -> Iterator[list[int]]:
+    """Keeps a first interrupt from the keyboard until the run is between two pieces; a second acts at once.
+
+    Inside a callback from C it would be lost. A handler that is not Python's own is left alone.
+    """
+    kept: list[int] = []
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield kept
+        return
+
+    def keep(number: int, frame: FrameType | None) -> None:
+        if kept:
+            signal.default_int_handler(number, frame)
+        kept.append(number)
+
+    signal.signal(signal.SIGINT, keep)
+    try:
+        yield kept
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class StartedSystem:
@@ -164,12 +197,12 @@ class StartedSystem:
     def _failure(self, status: int, stop: _Stop) -> StepError:
         slot = self.system.parts[stop.part]
         instant = self.system.grid.start + stop.k * self.system.grid.step
-        raiser = self._callbacks.get(stop.part, slot.component)
-        raised: BaseException | None = getattr(raiser, "raised", None)
-        if isinstance(raised, Exception):
-            return _as_step_error(raised, slot.name, instant)
-        if raised is not None:
-            raise raised
+        callback = self._callbacks.get(stop.part)
+        if callback is not None and status == FATAL:
+            raised = callback.raised
+            if isinstance(raised, Exception):
+                return _as_step_error(raised, slot.name, instant)
+            raise raised or KeyboardInterrupt  # what breaks in at the edge of a callback is a signal
         if status == DIVERGED:
             place = slot.outputs[stop.output]
             return StepError(_not_finite(self.system, self.bus, place), part=slot.name, time=instant, status=status)
@@ -204,8 +237,8 @@ class StartedSystem:
         y = self.bus[slot.outputs.start : slot.outputs.stop]
         native = slot.component.native()
         if native is None:
-            callback = self._callbacks[index] = _Callback(slot.component, u, y)
-            native = Native(ctypes.cast(callback.function, ctypes.c_void_p).value or 0, 0)
+            self._callbacks[index] = _Callback(slot.component, u, y)
+            native = self._callbacks[index].native()
         gathers = 0 if direct else len(slot.inputs)
         return _Part(
             *native,
@@ -238,13 +271,16 @@ def run(system: System, progress: Progress | None = None) -> Record:
     values = np.empty((grid.steps + 1, len(system.recorded)))
     values[0] = started.row()
     instant, piece = 0, 64
-    while instant < grid.steps and started.failure is None:
-        tick = time.perf_counter()
-        instant = started.advance(instant, min(instant + piece, grid.steps), values[instant + 1 :])
-        elapsed = time.perf_counter() - tick
-        piece = max(1, min(piece * 8, int(piece * PIECE_SECONDS / max(elapsed, 1e-9))))
-        if progress is not None:
-            progress(instant, grid.steps)
+    with _interrupts_kept() as interrupts:
+        while instant < grid.steps and started.failure is None:
+            tick = time.perf_counter()
+            instant = started.advance(instant, min(instant + piece, grid.steps), values[instant + 1 :])
+            elapsed = time.perf_counter() - tick
+            piece = max(1, min(piece * 8, int(piece * PIECE_SECONDS / max(elapsed, 1e-9))))
+            if interrupts:
+                raise KeyboardInterrupt
+            if progress is not None:
+                progress(instant, grid.steps)
     wall = {**started.wall(instant), "total": time.perf_counter() - began}
     return _record(system, values[: instant + 1], started.warnings, started.failure, wall)
 

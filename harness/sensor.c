@@ -21,27 +21,35 @@ typedef struct {
     double edge; /* times nearer than this are one */
     const Fault *faults;
     int64_t fault_count;
-    /* one number a sample of each stream that is needed, drawn in blocks by `draw`, which returns 0 when it did */
-    const double *normals, *uniforms;
+    /* one number a sample of each stream that is needed, NULL where it is not, drawn in blocks of `drawn` */
+    double *normals, *uniforms;
     int64_t drawn, used;
-    int (*draw)(void);
+    void (*draw_normals)(void);
+    void (*draw_uniforms)(void);
     /* state */
     int64_t next;
     double lagged, input, reading;
 } Sensor;
 
+/* Fills a block of random numbers; FATAL where nothing was drawn. */
+static int sensor_draw(double *block, void (*draw)(void))
+{
+    if (!block) return OK;
+    block[0] = NAN;
+    draw();
+    return isnan(block[0]) ? FATAL : OK;
+}
+
 static int sensor_measure(Sensor *s, double t, double u, int first)
 {
     double normal = 0.0, uniform = 1.0;
-    if (s->draw) {
-        if (s->used == s->drawn) {
-            if (s->draw()) return FATAL;
-            s->used = 0;
-        }
-        if (s->normals) normal = s->normals[s->used];
-        if (s->uniforms) uniform = s->uniforms[s->used];
-        s->used++;
+    if (s->used == s->drawn) {
+        if (sensor_draw(s->normals, s->draw_normals) || sensor_draw(s->uniforms, s->draw_uniforms)) return FATAL;
+        s->used = 0;
     }
+    if (s->normals) normal = s->normals[s->used];
+    if (s->uniforms) uniform = s->uniforms[s->used];
+    s->used++;
 
     double v = u;
     if (s->lags) {

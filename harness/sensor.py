@@ -18,6 +18,7 @@ import ctypes
 import hashlib
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +97,7 @@ class _Fault(ctypes.Structure):
     ]
 
 
-_Draw = ctypes.CFUNCTYPE(ctypes.c_int)
+_Draw = ctypes.CFUNCTYPE(None)
 
 
 class _Sensor(ctypes.Structure):
@@ -114,7 +115,7 @@ class _Sensor(ctypes.Structure):
         ("fault_count", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("normals", "uniforms")),
         *((name, ctypes.c_int64) for name in ("drawn", "used")),
-        ("draw", _Draw),
+        *((name, _Draw) for name in ("draw_normals", "draw_uniforms")),
         ("next", ctypes.c_int64),
         *((name, ctypes.c_double) for name in ("lagged", "input", "reading")),
     ]
@@ -137,7 +138,6 @@ class SensorComponent:
         self.outputs: Sequence[Signal] = (signal,)
         self._whole, self._fraction = split_delay(errors.delay, period)
         self.feedthrough = frozenset({("value", "of")} if self._whole == 0 else ())
-        self.raised: BaseException | None = None
 
     def start(self, t0: float, u: Vector) -> Vector:
         """The reading at t0 [s] of the signal u, shape (1,)."""
@@ -147,13 +147,15 @@ class SensorComponent:
         self._line = np.zeros(max(length, 1))
         self._normals = np.zeros(BLOCK) if errors.normals else None
         self._uniforms = np.zeros(BLOCK) if errors.uniforms else None
-        self._noise = stream(self.seed, self.part, "noise")
-        self._losses = stream(self.seed, self.part, "drop_out")
+        noise, losses = (stream(self.seed, self.part, purpose) for purpose in ("noise", "drop_out"))
         self._faults = (_Fault * max(len(errors.faults), 1))(
             *(_Fault(FAULTS.index(fault.kind), *fault[1:]) for fault in errors.faults)
         )
-        self._draw = _Draw(self._draw_block) if errors.normals or errors.uniforms else _Draw()
-        self.raised = None
+        # Called from C, NumPy's own functions run no line of Python, at which a signal could break in.
+        self._draws = (
+            _Draw(partial(noise.standard_normal, out=self._normals)),
+            _Draw(partial(losses.random, out=self._uniforms)),
+        )
         self._state = _Sensor(
             lags=errors.lag > 0.0,
             decay=decay,
@@ -177,7 +179,8 @@ class SensorComponent:
             uniforms=address(self._uniforms),
             drawn=BLOCK,
             used=BLOCK,
-            draw=self._draw,
+            draw_normals=self._draws[0],
+            draw_uniforms=self._draws[1],
         )
         return self._reading("crankbench_sensor_start", t0, u=u)
 
@@ -194,23 +197,9 @@ class SensorComponent:
 
     def _reading(self, function: str, *times: float, u: Vector) -> Vector:
         status, reading = call(function, self._state, *times, u=u)
-        if self.raised is not None:
-            raise self.raised
         if status != OK:
             raise StepError("the sensor has no random numbers", part=self.part, time=times[0], status=status)
         return np.array([reading])
-
-    def _draw_block(self) -> int:
-        """Fill the blocks of random numbers; called from C, which cannot pass on what is raised: it is kept."""
-        try:
-            if self._normals is not None:
-                self._noise.standard_normal(out=self._normals)
-            if self._uniforms is not None:
-                self._losses.random(out=self._uniforms)
-        except BaseException as error:
-            self.raised = error
-            return 1
-        return 0
 
 
 def build_sensor(

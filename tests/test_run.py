@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import signal
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -360,15 +363,38 @@ def test_an_interrupt_inside_a_python_part_comes_through() -> None:
         run(system({"part": {"use": "loop_parts:clockwork", "with": {"at": "4.5 ms", "what": "interrupt"}}}))
 
 
+@contextmanager
+def interrupted_after(delay: float) -> Iterator[None]:
+    main = threading.main_thread().ident
+    assert main is not None
+    timer = threading.Timer(delay, lambda: signal.pthread_kill(main, signal.SIGINT))
+    timer.start()
+    yield
+    timer.join()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("handler", [signal.default_int_handler, lambda *_: signal.default_int_handler(*_)])
+def test_an_interrupt_amid_callbacks_is_not_lost(handler: Any) -> None:
+    """With Python's own handler it waits for the end of a piece; with another it strikes anywhere in the callbacks."""
+    part = {"use": "loop_parts:clockwork"}
+    wired = system({"part": part, "plant": PLANT, "encoder": NOISE}, stop="100 s")
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        for delay in (0.02, 0.05, 0.1):
+            with interrupted_after(delay), pytest.raises(KeyboardInterrupt):
+                run(wired)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert signal.getsignal(signal.SIGINT) is before
+
+
 def test_an_interrupt_during_native_steps_comes_through_at_once() -> None:
     sine = {"use": "source", "unit": "1", "sine": {"amplitude": 1, "frequency": "1 Hz", "mean": 0}}
     noisy = {"use": "sensor", "of": "source", "noise": {"std": 1}}
     wired = system({"source": sine, "noisy": noisy}, "1 us", "100 s", record=[])
-    main = threading.main_thread()
-    timer = threading.Timer(0.3, lambda: __import__("signal").pthread_kill(main.ident, 2))
-    timer.start()
     began = time.perf_counter()
-    with pytest.raises(KeyboardInterrupt):
+    with interrupted_after(0.3), pytest.raises(KeyboardInterrupt):
         run(wired)
     assert time.perf_counter() - began < 2.0  # 0.3 s and a piece or two; the whole takes about 5 s
 
