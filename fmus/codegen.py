@@ -6,6 +6,7 @@ import hashlib
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,62 @@ from fmus.model import ModelError
 from fmus.tracing import Traced
 
 RUNTIME = Path(__file__).parent / "runtime"
+# Inline, and not a number where an argument is none, as np.minimum and np.maximum.
+_EXTREMES = """static inline double casadi_fmin(double x, double y) { return x < y || x != x ? x : y; }
+static inline double casadi_fmax(double x, double y) { return x > y || x != x ? x : y; }"""
 _KINDS = {"real": "REAL", "integer": "INTEGER", "boolean": "BOOLEAN"}
-_ARGUMENTS = ("t", "x", "m", "u", "p")
+_ARGUMENTS = ("t", "x", "m", "u", "p", "c")
+
+
+@dataclass(frozen=True)
+class _Hoisted:
+    """Expressions rewritten so that what depends on parameters alone is an input of its own, c = constants(p)."""
+
+    expressions: list[Any]
+    symbols: Any
+    constants: Any
+
+
+def _hoist(inputs: Sequence[Any], parameters: Any, expressions: Sequence[Any]) -> _Hoisted:
+    """Take out of the expressions the largest subexpressions of parameters alone: they change only when those do.
+
+    The operations and their order stay as they were, so every result stays the same bit for bit.
+    """
+    function = ca.Function("whole", list(inputs), ca.cse(list(expressions)))
+    place = next(index for index, symbol in enumerate(inputs) if symbol is parameters)
+    work: dict[int, tuple[Any, bool, bool]] = {}  # expression, of parameters alone, computed
+    results = [ca.SX.zeros(function.sparsity_out(i)) for i in range(function.n_out())]
+    symbols: list[Any] = []
+    constants: list[Any] = []
+    known: dict[int, Any] = {}
+
+    def outside(entry: tuple[Any, bool, bool]) -> Any:
+        expression, alone, computed = entry
+        if not (alone and computed):
+            return expression
+        key = expression.element_hash()
+        if key not in known:
+            known[key] = ca.SX.sym(f"c{len(symbols)}")
+            symbols.append(known[key])
+            constants.append(expression)
+        return known[key]
+
+    for k in range(function.n_instructions()):
+        operation = function.instruction_id(k)
+        sources, targets = function.instruction_input(k), function.instruction_output(k)
+        if operation == ca.OP_INPUT:
+            work[targets[0]] = (inputs[sources[0]].nz[sources[1]], sources[0] == place, False)
+        elif operation == ca.OP_CONST:
+            work[targets[0]] = (ca.SX(function.instruction_constant(k)), True, False)
+        elif operation == ca.OP_OUTPUT:
+            results[targets[0]].nz[targets[1]] = outside(work[sources[0]])
+        else:
+            operands = [work[source] for source in sources]
+            alone = all(operand[1] for operand in operands)
+            values = [operand[0] if alone else outside(operand) for operand in operands]
+            applied = ca.SX.unary(operation, *values) if len(values) == 1 else ca.SX.binary(operation, *values)
+            work[targets[0]] = (applied, alone, True)
+    return _Hoisted(results, ca.vertcat(*symbols), ca.vertcat(*constants))
 
 
 def _functions(traced: Traced) -> list[ca.Function]:
@@ -34,7 +89,7 @@ def _functions(traced: Traced) -> list[ca.Function]:
     reverse = ca.jtimes(both, knowns, ca.vertcat(ldx, ly), True)
     nx, nu = x.numel(), u.numel()
     dz = ca.jtimes(z, x, dx) + ca.jtimes(z, t, ca.SX(1))
-    results: list[tuple[str, Sequence[Any], Sequence[Any]]] = [
+    given: list[tuple[str, Sequence[Any], Sequence[Any]]] = [
         ("derivatives", [], [dx]),
         ("outputs", [], [y]),
         ("indicators", [], [z]),
@@ -45,10 +100,14 @@ def _functions(traced: Traced) -> list[ca.Function]:
         ("forward", [sx, su, sp], [forward[: dx.numel()], forward[dx.numel() :]]),
         ("reverse", [ldx, ly], [reverse[:nx], reverse[nx : nx + nu], reverse[nx + nu :]]),
     ]
-    return [
-        ca.Function(f"traced_{name}", [*inputs, *more], [ca.densify(expression) for expression in ca.cse(list(given))])
-        for name, more, given in results
-    ]
+    flat = [ca.densify(expression) for _, _, results in given for expression in results]
+    hoisted = _hoist([*inputs, above, sx, su, sp, ldx, ly], p, flat)
+    rewritten = iter(hoisted.expressions)
+    functions = [ca.Function("traced_constants", [p], [ca.densify(hoisted.constants)])]
+    for name, more, results in given:
+        expressions = [ca.densify(next(rewritten)) for _ in results]
+        functions.append(ca.Function(f"traced_{name}", [*inputs, hoisted.symbols, *more], expressions))
+    return functions
 
 
 def _traced_code(functions: Sequence[ca.Function]) -> str:
@@ -67,24 +126,36 @@ def _traced_code(functions: Sequence[ca.Function]) -> str:
     helpers = re.findall(r"^(?:static )?casadi_real casadi_\w+\([^\n]*(?:\}|\{\n.*?^\})$", code, re.S | re.M)
     if len(bodies) != len(functions) or len(names) != len(functions):
         raise ModelError("CasADi's generated code has a shape this version does not know")
+    helpers = [helper for helper in helpers if not re.search(r"casadi_f(?:min|max)\(", helper.split("{")[0])]
     parts = [
         "#define casadi_real double",
         "#define casadi_int int",
         *[line for line in constants if line.startswith("static")],
+        _EXTREMES,
         *[helper if helper.startswith("static") else f"static inline {helper}" for helper in helpers],
-        *[re.sub(r"^static int", "static inline int", body, flags=re.M) for body in bodies],
+        *[_lean(body) for body in bodies],
         *[f"#define {public} {inner}" for public, inner in names],
     ]
     return "\n\n".join(parts)
 
 
-def _wrapper(function: ca.Function, name: str, more: Sequence[str], results: Sequence[str]) -> str:
-    arguments = ", ".join(f"const double *{argument}" for argument in (*_ARGUMENTS[1:], *more))
-    written = ", ".join(f"double *{result}" for result in results)
-    unused = "".join(f"(void){argument}; " for argument in (*_ARGUMENTS, *more, *results))
+def _lean(body: str) -> str:
+    """CasADi's function without the tests for absent arguments and results: the runtime passes them all."""
+    body = re.sub(r"^static int", "static inline int", body, flags=re.M)
+    body = re.sub(r"arg\[(\d+)\]\? (arg\[\1\]\[\d+\]) : 0", r"\2", body)
+    return re.sub(r"if \(res\[(\d+)\]!=0\) (res\[\1\])", r"\2", body)
+
+
+def _wrapper(name: str, arguments: Sequence[str], results: Sequence[str]) -> str:
+    """The function that the runtime calls by name, around the one that CasADi wrote over arrays of pointers."""
+    timed = arguments[:1] == ("t",)
+    pointers = arguments[1:] if timed else arguments
+    declared = [*(["double t"] if timed else []), *(f"const double *{argument}" for argument in pointers)]
+    passed = [*(["&t"] if timed else []), *pointers]
+    unused = "".join(f"(void){name}; " for name in (*arguments, *results))
     return (
-        f"static void model_{name}(double t, {arguments}, {written}) {{\n"
-        f"    const double *arg[] = {{&t, {', '.join((*_ARGUMENTS[1:], *more))}}};\n"
+        f"static inline void model_{name}({', '.join(declared)}, {', '.join(f'double *{r}' for r in results)}) {{\n"
+        f"    const double *arg[] = {{{', '.join(passed)}}};\n"
         f"    double *res[] = {{{', '.join(results)}}};\n"
         f"    {unused}\n"
         f"    traced_{name}(arg, res, 0, 0, 0);\n"
@@ -93,15 +164,16 @@ def _wrapper(function: ca.Function, name: str, more: Sequence[str], results: Seq
 
 
 _WRAPPED: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "derivatives": ((), ("dx",)),
-    "outputs": ((), ("y",)),
-    "indicators": ((), ("z",)),
-    "indicator_rates": ((), ("dz",)),
-    "jacobian": ((), ("jx", "jt")),
-    "transition": (("above",), ("xn", "mn")),
-    "sample": ((), ("xn", "mn")),
-    "forward": (("sx", "su", "sp"), ("sdx", "sy")),
-    "reverse": (("ldx", "ly"), ("lx", "lu", "lp")),
+    "constants": (("p",), ("c",)),
+    "derivatives": (_ARGUMENTS, ("dx",)),
+    "outputs": (_ARGUMENTS, ("y",)),
+    "indicators": (_ARGUMENTS, ("z",)),
+    "indicator_rates": (_ARGUMENTS, ("dz",)),
+    "jacobian": (_ARGUMENTS, ("jx", "jt")),
+    "transition": ((*_ARGUMENTS, "above"), ("xn", "mn")),
+    "sample": (_ARGUMENTS, ("xn", "mn")),
+    "forward": ((*_ARGUMENTS, "sx", "su", "sp"), ("sdx", "sy")),
+    "reverse": ((*_ARGUMENTS, "ldx", "ly"), ("lx", "lu", "lp")),
 }
 
 
@@ -143,12 +215,13 @@ def model_source(traced: Traced, interface: Interface, fmi: int) -> tuple[str, s
     model, sizes = traced.model, interface.sizes
     functions = _functions(traced)
     defines = [f"#define N{name} {size}" for name, size in sizes.items() if name != "DX"]
+    defines.append(f"#define NC {functions[0].size1_out(0)}")
     sampled = model.sample is not None
     defines.append(f"#define SAMPLED {int(sampled)}")
     if sampled:
         names = [variable.name for variable in interface.variables]
         defines.append(f"#define SAMPLE_TIME {names.index(model.sample_time)}")
-    wrappers = [_wrapper(function, name, *_WRAPPED[name]) for function, name in zip(functions, _WRAPPED, strict=True)]
+    wrappers = [_wrapper(name, *_WRAPPED[name]) for name in _WRAPPED]
     nominals = [interface.variables[reference].nominal for reference in interface.block("X")]
     body = "\n\n".join(
         [

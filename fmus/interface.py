@@ -51,15 +51,15 @@ class Variable:
 
 @dataclass(frozen=True)
 class Interface:
-    """The variables of an exported model: [time | x | x' | m | u | y | z | p | solver settings]."""
+    """The variables of an exported model: [time | x | x' | u | y | z | m | p | solver settings]."""
 
     model: Model
     variables: tuple[Variable, ...]
     sizes: Mapping[str, int]
 
     def offset(self, block: str) -> int:
-        """Value reference of the first variable of a block: X, DX, M, U, Y, Z, P or S."""
-        order = ("X", "DX", "M", "U", "Y", "Z", "P", "S")
+        """Value reference of the first variable of a block: X, DX, U, Y, Z, M, P or S."""
+        order = ("X", "DX", "U", "Y", "Z", "M", "P", "S")
         return 1 + sum(self.sizes[name] for name in order[: order.index(block)])
 
     def block(self, name: str) -> range:
@@ -251,7 +251,7 @@ def declared_interface(model: Model, assigned: Collection[str] = ()) -> Interfac
         "X": len(states), "DX": len(derivatives), "M": len(discrete), "U": len(inputs), "Y": len(outputs),
         "Z": len(indicators), "P": len(parameters), "S": len(settings),
     }  # fmt: skip
-    listed = [time, *states, *derivatives, *discrete, *inputs, *outputs, *indicators, *parameters, *settings]
+    listed = [time, *states, *derivatives, *inputs, *outputs, *indicators, *discrete, *parameters, *settings]
     return Interface(model, tuple(listed), sizes)
 
 

@@ -72,10 +72,15 @@ _SYMBOLS: dict[str, Unit] = {
     "l": _unit(1e-3, m=3),
 }
 _PREFIXES = {"u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "h": 100.0, "k": 1e3, "M": 1e6, "G": 1e9}
-_PREFIXED = frozenset("g m s A K mol N Pa bar J W V L l Hz rad".split())
+_PREFIXED = frozenset(["g", "m", "s", "A", "K", "mol", "N", "Pa", "bar", "J", "W", "V", "L", "l", "Hz", "rad"])
 _SI_NAMES = {
     unit.exponents: name
-    for name, unit in {**_SYMBOLS, "kg": _unit(kg=1), "rad/s": _unit(rad=1, s=-1), "N.m": _unit(kg=1, m=2, s=-2)}.items()
+    for name, unit in {
+        **_SYMBOLS,
+        "kg": _unit(kg=1),
+        "rad/s": _unit(rad=1, s=-1),
+        "N.m": _unit(kg=1, m=2, s=-2),
+    }.items()
     if unit.factor == 1.0 and unit.offset == 0.0 and name not in ("Hz", "J")
 }
 _SI_NAMES |= {

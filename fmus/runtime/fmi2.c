@@ -112,15 +112,15 @@ FMI_EXPORT fmi2Status fmi2Reset(fmi2Component c) {
 
 #define SETTER(NAME, TYPE, KIND)                                                                                        \
     FMI_EXPORT fmi2Status fmi2Set##NAME(fmi2Component c, const fmi2ValueReference r[], size_t n, const TYPE values[]) { \
-        size_t i;                                                                                                       \
+        size_t i; int parameters = 0;                                                                                                       \
         CHECK(ALIVE, "fmi2Set" #NAME);                                                                                  \
         for (i = 0; i < n; i++) {                                                                                       \
             if (known(instance, r[i], KIND, "fmi2Set" #NAME)) return ERROR;                                             \
             if (settable(instance, r[i], "fmi2Set" #NAME)) return ERROR;                                                \
             if (check_setting(instance, r[i], (double)values[i], "fmi2Set" #NAME)) return ERROR;                        \
-            instance->s.v[r[i]] = (double)values[i];                                                                    \
+            parameters |= r[i] >= P0 && r[i] < S0; instance->s.v[r[i]] = (double)values[i];                                                                    \
         }                                                                                                               \
-        instance->s.stale |= STALE_ALL;                                                                                 \
+        after_setting(&instance->s, parameters);                    \
         return OK;                                                                                                      \
     }
 

@@ -159,16 +159,16 @@ FMI_EXPORT fmi3Status fmi3Reset(fmi3Instance c) {
 #define SETTER(NAME, TYPE, KIND)                                                                                     \
     FMI_EXPORT fmi3Status fmi3Set##NAME(fmi3Instance c, const fmi3ValueReference r[], size_t n, const TYPE values[], \
                                         size_t n_values) {                                                           \
-        size_t i;                                                                                                    \
+        size_t i; int parameters = 0;                                                                                                    \
         CHECK(ALIVE, "fmi3Set" #NAME);                                                                               \
         SIZED(n_values, n, "fmi3Set" #NAME);                                                                         \
         for (i = 0; i < n; i++) {                                                                                    \
             if (known(instance, r[i], KIND, "fmi3Set" #NAME)) return ERROR;                                          \
             if (settable(instance, r[i], "fmi3Set" #NAME)) return ERROR;                                             \
             if (check_setting(instance, r[i], (double)values[i], "fmi3Set" #NAME)) return ERROR;                     \
-            instance->s.v[r[i]] = (double)values[i];                                                                 \
+            parameters |= r[i] >= P0 && r[i] < S0; instance->s.v[r[i]] = (double)values[i];                                                                 \
         }                                                                                                            \
-        instance->s.stale |= STALE_ALL;                                                                              \
+        after_setting(&instance->s, parameters);                    \
         return OK;                                                                                                   \
     }
 

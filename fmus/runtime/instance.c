@@ -44,6 +44,7 @@ static int expect(Instance *instance, int phases, const char *call) {
 static void restore_starts(Instance *instance) {
     memset(&instance->s, 0, sizeof instance->s);
     memcpy(instance->s.v, model_start, sizeof(double) * NV);
+    model_constants(instance->s.v + P0, instance->s.c);
     instance->s.phase = INSTANTIATED;
     instance->s.stale = STALE_ALL;
 }
@@ -83,7 +84,7 @@ static void destroy(Instance *instance) {
 
 /* ---- values ---- */
 
-#define ARGUMENTS(s) (s)->v[0], (s)->v + X0, (s)->v + M0, (s)->v + U0, (s)->v + P0
+#define ARGUMENTS(s) (s)->v[0], (s)->v + X0, (s)->v + M0, (s)->v + U0, (s)->v + P0, (s)->c
 
 static void look_at_signs(State *s, const double *old_above, double *above) {
     /* Within a nanosecond of the zero the direction decides, not the rounding of z. */
@@ -123,10 +124,10 @@ static void refresh(State *s, int what) {
 }
 
 static int staleness(size_t reference) {
-    if (reference >= DX0 && reference < M0) return STALE_M | STALE_DX;
-    if (reference >= M0 && reference < U0) return STALE_M;
+    if (reference >= DX0 && reference < U0) return STALE_M | STALE_DX;
     if (reference >= Y0 && reference < Z0) return STALE_M | STALE_Y;
-    if (reference >= Z0 && reference < P0) return STALE_M | STALE_Z;
+    if (reference >= Z0 && reference < M0) return STALE_M | STALE_Z;
+    if (reference >= M0 && reference < P0) return STALE_M;
     return 0;
 }
 
@@ -139,6 +140,12 @@ static int known(Instance *instance, size_t reference, int kind, const char *cal
         return report(instance, ERROR, "logStatusError", "%s: '%s' is of type %s", call, model_name[reference],
                       kinds[model_kind[reference]]);
     return OK;
+}
+
+/* What follows from new values. */
+static void after_setting(State *s, int parameters_changed) {
+    if (parameters_changed) model_constants(s->v + P0, s->c);
+    s->stale |= STALE_ALL;
 }
 
 static int settable(Instance *instance, size_t reference, const char *call) {
@@ -323,7 +330,7 @@ static int result_position(Instance *instance, size_t reference, double *sx, dou
 static int directional(Instance *instance, const uint32_t *unknown, size_t n_unknown, const uint32_t *knowns,
                        size_t n_known, const double *seed, double *sensitivity, const char *call) {
     State *s = &instance->s;
-    double sx[NX + 1] = {0}, su[NU + 1] = {0}, sp[NP + 1] = {0}, sdx[NX + 1] = {0}, sy[NY + 1] = {0}, *place;
+    double sx[NX + 1] = {0}, su[NU + 1] = {0}, sp[NP + 1] = {0}, sdx[NX + 1] = {0}, sy[NY + 1] = {0}, *place = NULL;
     size_t i;
     refresh(s, STALE_M);
     for (i = 0; i < n_known; i++) {
@@ -339,11 +346,11 @@ static int directional(Instance *instance, const uint32_t *unknown, size_t n_unk
 }
 
 /* sensitivity = (d unknown / d known)' seed */
-static int adjoint(Instance *instance, const uint32_t *unknown, size_t n_unknown, const uint32_t *knowns,
+static inline int adjoint(Instance *instance, const uint32_t *unknown, size_t n_unknown, const uint32_t *knowns,
                    size_t n_known, const double *seed, double *sensitivity, const char *call) {
     State *s = &instance->s;
     double lx[NX + 1] = {0}, lu[NU + 1] = {0}, lp[NP + 1] = {0}, direct[NX + 1] = {0}, ldx[NX + 1] = {0},
-           ly[NY + 1] = {0}, *place;
+           ly[NY + 1] = {0}, *place = NULL;
     size_t i;
     refresh(s, STALE_M);
     for (i = 0; i < n_unknown; i++) {

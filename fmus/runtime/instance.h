@@ -5,7 +5,8 @@
  * then includes instance.c, solve.c and one of fmi2.c, fmi3.c. Everything is one translation unit.
  *
  * A variable's value reference is its index in `v`:
- * [ time | x | x' | m | u | y | z | p | solver settings ]
+ * [ time | x | x' | u | y | z | m | p | solver settings ]
+ * NC is the number of constants that depend on the parameters alone.
  */
 #ifndef CRANKBENCH_INSTANCE_H
 #define CRANKBENCH_INSTANCE_H
@@ -20,11 +21,11 @@
 
 #define X0 1
 #define DX0 (X0 + NX)
-#define M0 (DX0 + NX)
-#define U0 (M0 + NM)
+#define U0 (DX0 + NX)
 #define Y0 (U0 + NU)
 #define Z0 (Y0 + NY)
-#define P0 (Z0 + NZ)
+#define M0 (Z0 + NZ)
+#define P0 (M0 + NM)
 #define S0 (P0 + NP)
 #define NV (S0 + NS)
 
@@ -56,26 +57,28 @@ static const unsigned char model_settable[NV]; /* phases in which it may be set 
 static const double model_start[NV];
 static const double model_nominal[NX + 1];
 
-/* Functions of the model. */
-static void model_derivatives(double t, const double *x, const double *m, const double *u, const double *p, double *dx);
-static void model_outputs(double t, const double *x, const double *m, const double *u, const double *p, double *y);
-static void model_indicators(double t, const double *x, const double *m, const double *u, const double *p, double *z);
-static void model_indicator_rates(double t, const double *x, const double *m, const double *u, const double *p,
+/* Functions of the model; `c` is what depends on the parameters alone, computed once by model_constants. */
+static void model_constants(const double *p, double *c);
+static void model_derivatives(double t, const double *x, const double *m, const double *u, const double *p, const double *c, double *dx);
+static void model_outputs(double t, const double *x, const double *m, const double *u, const double *p, const double *c, double *y);
+static void model_indicators(double t, const double *x, const double *m, const double *u, const double *p, const double *c, double *z);
+static void model_indicator_rates(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
                                   double *dz);
-static void model_jacobian(double t, const double *x, const double *m, const double *u, const double *p, double *jx,
+static void model_jacobian(double t, const double *x, const double *m, const double *u, const double *p, const double *c, double *jx,
                            double *jt);
-static void model_transition(double t, const double *x, const double *m, const double *u, const double *p,
+static void model_transition(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
                              const double *above, double *xn, double *mn);
-static void model_sample(double t, const double *x, const double *m, const double *u, const double *p, double *xn,
+static void model_sample(double t, const double *x, const double *m, const double *u, const double *p, const double *c, double *xn,
                          double *mn);
-static void model_forward(double t, const double *x, const double *m, const double *u, const double *p,
+static void model_forward(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
                           const double *sx, const double *su, const double *sp, double *sdx, double *sy);
-static void model_reverse(double t, const double *x, const double *m, const double *u, const double *p,
+static void model_reverse(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
                           const double *ldx, const double *ly, double *lx, double *lu, double *lp);
 
 /* All that getting, setting and serialising the FMU state copies. */
 typedef struct {
     double v[NV];
+    double c[NC + 1];
     double above[NZ + 1]; /* 1 where an indicator is positive, 0 where negative */
     double start_time;
     double next_step;     /* the adaptive method's next step, 0 where it must guess */

@@ -5,7 +5,7 @@
  */
 #include "instance.h"
 
-#define DERIVATIVES(s, t, x, dx) model_derivatives(t, x, (s)->v + M0, (s)->v + U0, (s)->v + P0, dx)
+#define DERIVATIVES(s, t, x, dx) model_derivatives(t, x, (s)->v + M0, (s)->v + U0, (s)->v + P0, (s)->c, dx)
 
 static inline void rk4_step(const State *s, double t, const double *x, double h, double *x1) {
     double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], w[NX + 1];
@@ -81,7 +81,7 @@ static int rodas4_step(const State *s, double t, const double *x, double h, doub
     static const double slopes[6] = {0.25, -0.1043, 0.1035, -0.03620000000000023, 0.0, 0.0};
     double matrix[NX * NX + 1], jt[NX + 1], stages[6][NX + 1], w[NX + 1], f[NX + 1];
     int pivot[NX + 1], i, j, stage;
-    model_jacobian(t, x, s->v + M0, s->v + U0, s->v + P0, matrix, jt);
+    model_jacobian(t, x, s->v + M0, s->v + U0, s->v + P0, s->c, matrix, jt);
     for (i = 0; i < NX * NX; i++) matrix[i] = -matrix[i];
     for (i = 0; i < NX; i++) matrix[i * NX + i] += 1.0 / (h * gamma);
     if (!factorise(matrix, pivot)) {
@@ -144,7 +144,7 @@ static double locate(const State *s, double t, const double *x, double h, double
         double middle = low + 0.5 * (high - low);
         int crossed = 0;
         if (middle <= low || middle >= high || !plain_step(s, t, x, middle, w)) break;
-        model_indicators(t + middle, w, s->v + M0, s->v + U0, s->v + P0, z);
+        model_indicators(t + middle, w, s->v + M0, s->v + U0, s->v + P0, s->c, z);
         for (i = 0; i < NZ; i++) crossed |= s->above[i] ? z[i] < 0 : z[i] > 0;
         if (crossed)
             high = middle;
@@ -158,7 +158,7 @@ static double locate(const State *s, double t, const double *x, double h, double
 static int crossed(const State *s, double t, const double *x) {
     double z[NZ + 1];
     int i, any = 0;
-    model_indicators(t, x, s->v + M0, s->v + U0, s->v + P0, z);
+    model_indicators(t, x, s->v + M0, s->v + U0, s->v + P0, s->c, z);
     for (i = 0; i < NZ; i++) any |= s->above[i] ? z[i] < 0 : z[i] > 0;
     return any;
 }
@@ -184,9 +184,10 @@ static int integrate(Instance *instance, double end) {
         /* Fixed steps: the span is cut into equal steps no longer than the step size. */
         const double begin = s->v[0], span = end - begin;
         const int adaptive = s->v[METHOD] == RODAS4 && s->v[TOLERANCE] > 0;
-        double pieces = ceil(span / s->v[STEP_SIZE] - 1e-9), k = 0;
+        const int whole = span <= s->v[STEP_SIZE] * (1 + 1e-9);
+        const double pieces = whole ? 1 : ceil(span / s->v[STEP_SIZE] - 1e-9);
+        double k = 0;
         int event = 0, rejections = 0;
-        if (pieces < 1) pieces = 1;
         if (!adaptive && pieces > MAX_STEPS)
             return fail(instance, "%s = %g s wants more than %d steps in one communication step", model_name[STEP_SIZE],
                         s->v[STEP_SIZE], MAX_STEPS);
