@@ -19,8 +19,9 @@ from loop_parts import Clockwork, Linear
 from oracle import run_plainly
 
 from fmus.component import ConfigurationError
-from harness.run import StartedSystem, run
+from harness.run import run
 from harness.scenario import Scenario
+from harness.started import StartedSystem
 from harness.wiring import System, wire
 
 

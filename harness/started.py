@@ -1,0 +1,212 @@
+"""A system after initialisation: the table of parts that loop.c steps, and what became of them."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, Component, Native, StepError, Vector
+from fmus.units import parse_unit
+from harness.native import address, library, native_step
+from harness.system import Slot, System
+
+# How many timed steps of a part loop.c keeps.
+KEPT_TIMES = 256
+
+_Call = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double)
+
+
+class _PythonPart(ctypes.Structure):
+    _fields_ = [("call", _Call), ("status", ctypes.c_int64)]
+
+
+class _Part(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("step", "self", "u", "gathered", "inputs")),
+        ("gathers", ctypes.c_int64),
+        ("y", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("outputs", "period", "warnings", "timed")),
+        ("took", ctypes.c_void_p),
+    ]
+
+
+class _Loop(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("t0", "h")),
+        ("parts", ctypes.POINTER(_Part)),
+        ("count", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in ("bus", "recorded")),
+        ("columns", ctypes.c_int64),
+    ]
+
+
+class _Stop(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_int64) for name in ("part", "output", "k")]
+
+
+class _Callback:
+    """A part written in Python as a step that C calls; what it raises is kept, since C cannot pass it on."""
+
+    def __init__(self, component: Component, u: Vector, y: Vector) -> None:
+        self.component, self.u, self.y = component, u, y
+        self.raised: BaseException | None = None
+        self.state = _PythonPart(_Call(self._step), OK)
+
+    def native(self) -> Native:
+        """The step for C."""
+        return native_step("crankbench_python_step", self.state)
+
+    def _step(self, t: float, h: float) -> None:
+        try:
+            outputs = self.component.step(t, h, self.u.copy())
+            if len(outputs) != len(self.y):
+                raise ValueError(f"step wants to return {len(self.y)} outputs, got {len(outputs)}")
+            self.y[:] = outputs
+            self.state.status = OK
+        except BaseException as error:
+            self.raised = error
+
+
+class StartedSystem:
+    """A system after initialisation: `bus` has the outputs of row 0, `advance` goes on from there.
+
+    `failure` is what ended it early, None as long as nothing did.
+    """
+
+    def __init__(self, system: System) -> None:
+        """Initialise all parts in order. Raises StepError."""
+        self.system = system
+        self.failure: StepError | None = None
+        grid = system.grid
+        self.bus = np.array([parse_unit(s.unit).to_si(float(np.asarray(s.start))) for s in system.bus], dtype=float)
+        for slot in system.parts:
+            self._start(slot)
+        self._callbacks: dict[int, _Callback] = {}
+        self._took = np.zeros((len(system.parts), KEPT_TIMES))
+        self._arrays: list[NDArray[Any]] = []
+        self._parts = (_Part * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
+        self._recorded = np.array(system.recorded, dtype=np.int64)
+        columns = len(system.recorded)
+        self._loop = _Loop(
+            grid.start, grid.step, self._parts, len(system.parts), address(self.bus), address(self._recorded), columns
+        )
+
+    def row(self) -> Vector:
+        """The recorded signals as they stand on the bus, shape (columns,), SI."""
+        return self.bus[self._recorded]
+
+    @property
+    def warnings(self) -> dict[str, int]:
+        """How many steps of each part ended with a warning; parts without one are left out."""
+        counts = zip(self.system.order, (part.warnings for part in self._parts), strict=False)
+        return {name: count for name, count in counts if count}
+
+    def wall(self, instant: int) -> dict[str, float]:
+        """The time [s] each part took up to an instant: its steps times the median of those timed, one in 61.
+
+        Parts never timed are left out.
+        """
+        entries = zip(self.system.parts, self._parts, self._took, strict=False)
+        return {s.name: float(np.median(t[: p.timed])) * (instant // s.period) for s, p, t in entries if p.timed}
+
+    def advance(self, begin: int, end: int, rows: Vector) -> int:
+        """Step from instant `begin` to `end`, write rows begin+1 ... end, and return the instant reached.
+
+        `rows` has shape (end - begin, columns), C order. Where the instant returned is not `end`, `failure` says why.
+        What a Python part raised that is no Exception, like KeyboardInterrupt, passes through.
+        """
+        stop = _Stop()
+        status = library().crankbench_advance(
+            ctypes.byref(self._loop),
+            ctypes.c_int64(begin),
+            ctypes.c_int64(end),
+            ctypes.c_void_p(rows.ctypes.data),
+            ctypes.byref(stop),
+        )
+        if status == OK:
+            return end
+        self.failure = self._failure(status, stop)
+        return stop.k - 1
+
+    def _failure(self, status: int, stop: _Stop) -> StepError:
+        slot = self.system.parts[stop.part]
+        instant = self.system.grid.start + stop.k * self.system.grid.step
+        callback = self._callbacks.get(stop.part)
+        if callback is not None and status == FATAL:
+            raised = callback.raised
+            if isinstance(raised, Exception):
+                return _as_step_error(raised, slot.name, instant)
+            raise raised or KeyboardInterrupt  # what breaks in at the edge of a callback is a signal
+        if status == DIVERGED:
+            place = slot.outputs[stop.output]
+            return StepError(_not_finite(self.system, self.bus, place), part=slot.name, time=instant, status=status)
+        begin = self.system.grid.start + (stop.k - slot.period) * self.system.grid.step
+        explain = getattr(slot.component, "failure", None)
+        message = explain(status, begin).message if explain else f"the step from {begin:.9g} s ended so"
+        return StepError(message, part=slot.name, time=instant, status=status)
+
+    def _start(self, slot: Slot) -> None:
+        begin = self.system.grid.start
+        try:
+            outputs = np.asarray(slot.component.start(begin, self.bus[list(slot.inputs)]), dtype=float)
+        except Exception as error:
+            raise _as_step_error(error, slot.name, begin) from error
+        if outputs.shape != (len(slot.outputs),):
+            message = f"start wants to return {len(slot.outputs)} outputs, got shape {outputs.shape}"
+            raise StepError(message, part=slot.name, time=begin)
+        self.bus[slot.outputs.start : slot.outputs.stop] = outputs
+        for place, value in zip(slot.outputs, outputs, strict=True):
+            if not math.isfinite(value):
+                message = _not_finite(self.system, self.bus, place)
+                raise StepError(message, part=slot.name, time=begin, status=DIVERGED)
+
+    def _entry(self, index: int) -> _Part:
+        slot = self.system.parts[index]
+        gathered = np.zeros(max(len(slot.inputs), 1))
+        inputs = np.array(slot.inputs, dtype=np.int64)
+        self._arrays += [gathered, inputs]
+        # Inputs that lie side by side on the bus are read there, unless the part would overwrite them as it steps.
+        direct = _side_by_side(slot.inputs) and not set(slot.inputs) & set(slot.outputs)
+        u = self.bus[slot.inputs[0] : slot.inputs[-1] + 1] if direct else gathered[: len(slot.inputs)]
+        y = self.bus[slot.outputs.start : slot.outputs.stop]
+        native = slot.component.native()
+        if native is None:
+            self._callbacks[index] = _Callback(slot.component, u, y)
+            native = self._callbacks[index].native()
+        gathers = 0 if direct else len(slot.inputs)
+        return _Part(
+            *native,
+            address(u),
+            address(gathered),
+            address(inputs),
+            gathers,
+            address(y),
+            len(y),
+            slot.period,
+            0,
+            0,
+            address(self._took[index]),
+        )
+
+
+def _as_step_error(error: Exception, part: str, instant: float) -> StepError:
+    """What a part raised as a step error that names it; the error itself is its cause unless it is one already."""
+    if isinstance(error, StepError):
+        status = error.status if error.status > WARNING else ERROR
+        return StepError(error.message, part=part, time=instant, status=status)
+    failure = StepError(f"{type(error).__name__}: {error}", part=part, time=instant, status=ERROR)
+    failure.__cause__ = error
+    return failure
+
+
+def _not_finite(system: System, bus: Vector, place: int) -> str:
+    return f"{system.bus[place].name} is {bus[place]:g}"
+
+
+def _side_by_side(places: Sequence[int]) -> bool:
+    return bool(places) and list(places) == list(range(places[0], places[0] + len(places)))
