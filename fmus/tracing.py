@@ -13,6 +13,10 @@ from fmus.component import Signal
 from fmus.model import FlatModel, Model, ModelError
 
 
+class TraceError(ModelError):
+    """A model whose functions do what cannot be traced into C."""
+
+
 class Symbol:
     """A scalar symbol that behaves as a NumPy scalar: arithmetic, comparison, NumPy functions.
 
@@ -242,7 +246,7 @@ def _column(values: Sequence[Any]) -> Any:
 def trace(model: Model) -> Traced:
     """The CasADi functions of `model`.
 
-    Raises ModelError: a function uses what cannot be traced, or gives not what was declared.
+    Raises TraceError: a function uses what cannot be traced, or gives not what was declared.
     """
     flat = FlatModel(model)
     t, (t_symbol,) = _symbols("t", 1)
@@ -274,6 +278,6 @@ def _traced(model: Model, what: str, function: Callable[..., Any], arguments: tu
     try:
         return function(*arguments)
     except ModelError as error:
-        raise ModelError(f"{model.name}.{what}: {error}") from error
+        raise TraceError(f"{model.name}.{what}: {error}") from error
     except (TypeError, ValueError, np.linalg.LinAlgError) as error:
-        raise ModelError(f"{model.name}.{what} cannot be traced: {error}") from error
+        raise TraceError(f"{model.name}.{what} cannot be traced: {error}") from error

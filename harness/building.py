@@ -3,50 +3,87 @@
 from __future__ import annotations
 
 import importlib
-import inspect
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmus.component import ConfigurationError, Problem
 from fmus.export import build_fmu
 from fmus.model import Model, ModelError, unknown
+from fmus.python_export import build_python_fmu
+from fmus.tracing import TraceError
 from fmus.units import parse_unit
 from harness.findings import Findings
 from harness.places import Place, Places, read_yaml
-from harness.resolve import SOLVER, read_settings
-from harness.scenario import read_measure
+from harness.resolve import SOLVER
+from harness.settings import read_arguments, read_settings
 
 # Where a short name like `driveline` is looked for.
 PACKAGES = ("fmus.plants", "observers")
 
 
-def build_model(
-    name: str, path: Path, fmi: int, platforms: Sequence[str], parameter_set: str | None, settings: Sequence[str]
-) -> Path:
-    """The FMU at `path` of the model called `name`: a shipped one's short name, a module, or module:attribute.
+class Export(NamedTuple):
+    """What a user asks of an export: `settings` are `name=value`, start values or the arguments of a `make`."""
 
-    `settings` are `name=value`: start values, or the arguments of a `make`. Raises ConfigurationError.
+    path: Path
+    fmi: int = 2
+    platforms: Sequence[str] = ("native",)
+    parameter_set: str | None = None
+    settings: Sequence[str] = ()
+
+
+def build_model(name: str, export: Export) -> Path:
+    """The native FMU of the model called `name`: a shipped one's short name, a module, or module:attribute.
+
+    Raises ConfigurationError: no such model, a setting that does not fit, a model that cannot be traced.
     """
-    if path.suffix != ".fmu":
-        raise ConfigurationError(f"--out wants a file that ends in .fmu, got {path}")
-    given, places = _read_settings(settings)
-    found = find_model(name)
+    given, places = _checked(export)
+    path, fmi, platforms, parameter_set, _ = export
+    found, _ = find_model(name)
     try:
         if isinstance(found, Model):
             return build_fmu(found, path, fmi, platforms, _starts(found, parameter_set, given, places))
         if parameter_set is not None:
             raise ConfigurationError(f"{name} is made from its arguments and has no named sets; give them by --with")
         return build_fmu(_made(name, found, given, places), path, fmi, platforms)
+    except TraceError as error:
+        raise ConfigurationError(f"{name}: {error}; as it stands it can be built with --python only") from error
     except ModelError as error:
         raise ConfigurationError(f"{name}: {error}") from error
 
 
-def find_model(name: str) -> Model | Callable[..., Any]:
-    """The model called `name`, or the function that makes it. Raises ConfigurationError: there is none."""
+def build_with_python(name: str, export: Export) -> Path:
+    """The FMU with Python inside of a Model that a module holds, for one that cannot be traced into C.
+
+    Raises ConfigurationError: no such model, a setting that does not fit, or something that only a native FMU has.
+    """
+    given, places = _checked(export)
+    if export.fmi != 2 or tuple(export.platforms) != ("native",):
+        raise ConfigurationError("an FMU with Python inside is FMI 2 and for the platforms of PythonFMU only")
+    found, place = find_model(name)
+    if not isinstance(found, Model):
+        raise ConfigurationError(f"{name} wants to be a Model in a module to hold Python inside, got a function")
+    try:
+        starts = _starts(found, export.parameter_set, given, places)
+        return build_python_fmu(*place, export.path, starts)
+    except ModelError as error:
+        raise ConfigurationError(f"{name}: {error}") from error
+
+
+def _checked(export: Export) -> tuple[dict[str, Any], Places]:
+    if export.path.suffix != ".fmu":
+        raise ConfigurationError(f"--out wants a file that ends in .fmu, got {export.path}")
+    return _read_settings(export.settings)
+
+
+def find_model(name: str) -> tuple[Model | Callable[..., Any], tuple[str, str]]:
+    """The model called `name`, or the function that makes it; and its module and name there.
+
+    Raises ConfigurationError: there is none.
+    """
     module_name, _, attribute = name.partition(":")
     shipped = {
         module.name: f"{package}.{module.name}"
@@ -61,9 +98,10 @@ def find_model(name: str) -> Model | Callable[..., Any]:
             raise ConfigurationError(f"{full_name} wants the module '{error.name}', which is not installed") from error
         raise ConfigurationError(unknown(module_name, shipped, "model")) from error
     names = [attribute] if attribute else ["MODEL", "make"]
-    found = next((getattr(module, one) for one in names if hasattr(module, one)), None)
+    held = next((one for one in names if hasattr(module, one)), "")
+    found = getattr(module, held, None)
     if isinstance(found, Model) or callable(found):
-        return found
+        return found, (full_name, held)
     raise ConfigurationError(f"{name} wants a Model or a function that makes one in {full_name}, got neither")
 
 
@@ -104,27 +142,11 @@ def _starts(model: Model, parameter_set: str | None, given: Mapping[str, Any], p
 
 
 def _made(name: str, make: Callable[..., Any], given: Mapping[str, Any], places: Places) -> Model:
-    """What `make` returns for arguments as written, in SI where its annotation names a unit."""
-    hints = get_type_hints(make, include_extras=True)
-    parameters = inspect.signature(make).parameters
-    problems = [
-        Problem(unknown(argument, parameters, "argument"), *places.of((argument,)))
-        for argument in given
-        if argument not in parameters
-    ]
-    required = [one for one, parameter in parameters.items() if parameter.default is inspect.Parameter.empty]
-    problems += [Problem(f"{name} wants --with {one}=...") for one in required if one not in given]
-    arguments = {}
-    for argument, raw in given.items():
-        unit = next(
-            (extra for extra in getattr(hints.get(argument), "__metadata__", ()) if isinstance(extra, str)), None
-        )
-        try:
-            arguments[argument] = raw if unit is None else read_measure(raw).si(unit)
-        except ValueError as error:
-            problems.append(Problem(str(error), *places.of((argument,))))
-    if problems:
-        raise ConfigurationError(problems)
+    """The Model that `make` returns for arguments as a campaign would give them."""
+    found = Findings(places)
+    arguments = read_arguments(make, given, None, found)
+    if arguments is None:
+        raise ConfigurationError(found.problems)
     made = make(**arguments)
     if not isinstance(made, Model):
         raise ConfigurationError(f"{name} wants to be a Model to be exported, got {type(made).__name__}")

@@ -14,7 +14,7 @@ import typer
 
 from fmus.component import ConfigurationError
 from fmus.fmu import describe
-from harness.building import build_model
+from harness.building import Export, build_model, build_with_python
 from harness.campaign import built_in_campaigns, describe_campaign, find_campaign, read_campaign
 from harness.campaignfile import CampaignFile
 from harness.cases import Result, execute
@@ -120,9 +120,11 @@ def build(
     settings: Annotated[
         list[str] | None, typer.Option("--with", metavar="NAME=VALUE", help="A start value, like k='1500 N.m/rad'.")
     ] = None,
+    python: Annotated[bool, typer.Option("--python", help="Python inside, by PythonFMU: slow, needs Python.")] = False,
 ) -> None:
     """Export a plant or an observer as an FMU."""
-    print(build_model(model, out, fmi, platforms.split(","), parameter_set, settings or []))
+    export = Export(out, fmi, tuple(platforms.split(",")), parameter_set, tuple(settings or ()))
+    print(build_with_python(model, export) if python else build_model(model, export))
 
 
 @app.command()

@@ -13,6 +13,7 @@ from importlib import metadata
 from importlib.machinery import PathFinder
 from pathlib import Path
 
+from fmus.toolchain import find_compiler, native_platform
 from harness.scenario import ModelPart, Scenario
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -23,7 +24,7 @@ NATIVE_FOLDERS = ("fmus", "harness")
 
 
 def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
-    """First 16 hex digits of the sha256 over the scenario, its experiment, the parts' content and the package version.
+    """First 16 hex digits of the sha256 over the scenario, its experiment, the parts' content and the tools' versions.
 
     The content of a part is its FMU file, or its module with everything that imports from the same packages.
     `folder` is where relative paths start. Metrics are no part of it: they are measured again from the record.
@@ -33,7 +34,7 @@ def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
         "experiment": experiment,
         "parts": {name: _content(part, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)},
         "common": _sources_digest(COMMON),
-        "version": _version(),
+        "versions": _versions(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -54,8 +55,10 @@ def _names_in(settings: object) -> list[str]:
 
 
 @cache
-def _version() -> str:
-    return metadata.version("crankbench")
+def _versions() -> dict[str, str]:
+    """What else the numbers of a record may depend on: the packages that compute, the C compiler and the platform."""
+    packages = {name: metadata.version(name) for name in ("crankbench", "casadi", "fmpy", "numpy", "scipy", "pyarrow")}
+    return {**packages, "compiler": find_compiler().version, "platform": native_platform()}
 
 
 @cache

@@ -70,9 +70,11 @@ def read_measures(raw: Any, found: Findings) -> list[Measure] | None:
 
 
 def read_arguments(
-    make: Callable[..., Any], settings: Mapping[str, Any], step: float, found: Findings
+    make: Callable[..., Any], settings: Mapping[str, Any], step: float | None, found: Findings
 ) -> dict[str, Any] | None:
     """The arguments of a `make`, each converted as it is annotated; `sample_time` is `step` [s] unless it is given.
+
+    A `step` of None leaves `sample_time` to its default.
 
     None and the problems in `found` where one is unknown, missing or does not fit.
     """
@@ -81,7 +83,7 @@ def read_arguments(
     hints = get_type_hints(make, include_extras=True)
     named = [name for name, p in parameters.items() if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
     open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    arguments: dict[str, Any] = {"sample_time": step} if "sample_time" in named else {}
+    arguments: dict[str, Any] = {"sample_time": step} if step is not None and "sample_time" in named else {}
     for key, raw in settings.items():
         if key in named:
             arguments[key] = _argument(raw, hints.get(key, Any), found.at(key))

@@ -204,3 +204,14 @@ def test_the_schema_is_printed_as_published(crankbench):
 def test_the_module_is_the_same_command():
     done = subprocess.run([sys.executable, "-m", "harness", "--version"], capture_output=True, text=True, check=True)
     assert done.stdout.strip()
+
+
+def test_a_model_that_cannot_be_traced_is_built_with_python_inside_on_request(crankbench, tmp_path):
+    out = tmp_path / "pendulum.fmu"
+    code, _, said = crankbench("build", "tests.test_python_export:PENDULUM", "--out", out)
+    assert code == 2
+    assert "np.sin for math.sin" in said and "--python" in said
+    assert not out.exists()
+    code, printed, _ = crankbench("build", "tests.test_python_export:PENDULUM", "--python", "--out", out)
+    assert (code, printed.strip()) == (0, str(out))
+    assert json.loads(crankbench("inspect", out, "--json")[1])["capabilities"]["needsExecutionTool"] is True
