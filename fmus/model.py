@@ -81,7 +81,7 @@ class Model:
     p `parameters`. `above.name` is 1 where the indicator is positive and 0 where it is negative;
     at z = 0 the sign of dz/dt decides. `transition` and `sample` return only what changes.
     A sampled model updates at the end of a step with that step's inputs, so an estimate in m is
-    x(k|k). `sample_time` names the parameter that holds the period.
+    x(k|k). `sample_time` names the parameter that holds the period, in s.
     Discrete states that `transition` assigns are computed at initialisation; others begin at
     their start value. The solver settings are the exported FMU's defaults.
     """
@@ -113,8 +113,12 @@ class Model:
             seen.add(signal.name)
         if (self.sample is None) != (not self.sample_time):
             raise ModelError(f"{self.name}: sample and sample_time go together")
-        if self.sample_time and self.sample_time not in {signal.name for signal in self.parameters}:
-            raise ModelError(f"{self.name}: sample_time names no parameter: '{self.sample_time}'")
+        if self.sample_time:
+            period = next((signal for signal in self.parameters if signal.name == self.sample_time), None)
+            if period is None:
+                raise ModelError(f"{self.name}: sample_time names no parameter: '{self.sample_time}'")
+            if period.unit != "s" or period.shape:
+                raise ModelError(f"{self.name}: '{period.name}' is the sample time and wants to be a scalar in s")
         for name, values in self.parameter_sets.items():
             for key in values:
                 if key not in {signal.name for signal in self.parameters}:

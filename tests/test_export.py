@@ -503,6 +503,9 @@ def test_a_model_that_contradicts_its_declarations_is_refused(tmp_path: Path) ->
     misspelt = replace(LAG, equations=lambda t, x, m, u, p: ({"x": p.b}, {"y": 0.0}))
     with pytest.raises(ModelError, match="no parameter is named 'b'; did you mean 'a'"):
         build_fmu(misspelt, tmp_path / "m.fmu")
+    in_milliseconds = (*FILTER.parameters[:2], Signal("period", "ms", 10.0))
+    with pytest.raises(ModelError, match="'period' is the sample time and wants to be a scalar in s"):
+        replace(FILTER, parameters=in_milliseconds)
     with pytest.raises(ModelError, match="'x' is declared twice"):
         replace(LAG, parameters=(Signal("x"),))
 
