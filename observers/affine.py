@@ -114,6 +114,13 @@ def overshoot(matrix: Array) -> float:
     return len(matrix) * float(np.linalg.cond(np.linalg.eig(matrix)[1]))
 
 
+def fastest_poles(sample_time: float) -> float:
+    """The bandwidth that a sample time [s] bears, 1/s. Raises ModelError: the sample time is not positive."""
+    if not sample_time > 0.0:
+        raise ModelError(f"sample_time wants a value above 0 s, got {sample_time:g}")
+    return FASTEST / sample_time
+
+
 def spectral_abscissa(matrix: Array) -> float:
     """Largest real part of the eigenvalues, 1/s."""
     return float(np.max(np.linalg.eigvals(matrix).real))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fmus.component import Signal
 from fmus.hybrid import Automaton, Location
 from fmus.model import Model, ModelError, Values
-from observers.affine import FASTEST, NEGLIGIBLE, advance, sample_observer
+from observers.affine import NEGLIGIBLE, advance, fastest_poles, sample_observer
 from observers.bank import nominal_automaton, read_thresholds, read_value, sampled_signals, sampled_values, vector
 from observers.residuals import design_signatures, residual
 
@@ -110,7 +110,7 @@ def make(
         if not 1 <= number <= count:
             raise ModelError(f"{name} wants a location from 1 to {count}, got {number}")
     limits = read_thresholds(threshold, automaton)
-    signatures = design_signatures(automaton, delay, limits, entry_error, FASTEST / sample_time)
+    signatures = design_signatures(automaton, delay, limits, entry_error, fastest_poles(sample_time))
     signature = next(one for one in signatures if pretend in one.locations)
     if hide in signature.locations:
         raise ModelError(f"locations {hide} and {pretend} share their signature: there is nothing to hide")

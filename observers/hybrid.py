@@ -10,7 +10,7 @@ import numpy as np
 from fmus.component import Signal
 from fmus.hybrid import Automaton
 from fmus.model import Model, ModelError, Values
-from observers.affine import FASTEST, advance, sample_observer
+from observers.affine import advance, fastest_poles, sample_observer
 from observers.bank import (
     Instant,
     Rule,
@@ -62,7 +62,7 @@ def make(
     """
     automaton = nominal_automaton(plant, parameters, parameter_set)
     limits = read_thresholds(threshold, automaton)
-    fastest = FASTEST / sample_time
+    fastest = fastest_poles(sample_time)
     signatures = design_signatures(automaton, delay, limits, entry_error, fastest)
     gains = design_gains(automaton, rate, dwell, delay, fastest)
     largest = read_bounds(bounds, automaton)

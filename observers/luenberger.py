@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fmus.model import Model, ModelError
-from observers.affine import FASTEST
+from observers.affine import fastest_poles
 from observers.bank import Rule, bank_model, nominal_automaton
 from observers.convergence import design_gains
 
@@ -29,7 +29,7 @@ def make(
     automaton = nominal_automaton(plant, parameters, parameter_set)
     if not 1 <= location <= len(automaton.locations):
         raise ModelError(f"location wants 1 to {len(automaton.locations)}, got {location}")
-    gains = design_gains(automaton, rate, dwell, delay, FASTEST / sample_time)
+    gains = design_gains(automaton, rate, dwell, delay, fastest_poles(sample_time))
     rule = Rule(begin=location, choose=lambda instant, m, u, p: {})
     return bank_model(
         "luenberger", f"Luenberger observer for location {location}", automaton, gains, rule, start or {}, sample_time

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fmus.component import Signal
 from fmus.model import Model
-from observers.affine import FASTEST
+from observers.affine import fastest_poles
 from observers.bank import Rule, bank_model, nominal_automaton
 from observers.convergence import design_gains
 
@@ -27,7 +27,7 @@ def make(
     Raises ModelError: demands that no gains meet, unknown names, wrong units.
     """
     automaton = nominal_automaton(plant, parameters, parameter_set)
-    gains = design_gains(automaton, rate, dwell, delay, FASTEST / sample_time)
+    gains = design_gains(automaton, rate, dwell, delay, fastest_poles(sample_time))
     count = len(automaton.locations)
     told = Signal("true_location", "1", count, "location of the plant", minimum=1, maximum=count, kind="integer")
     rule = Rule(begin=count, choose=lambda instant, m, u, p: {"location": u.true_location}, inputs=(told,))
