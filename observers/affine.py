@@ -60,7 +60,7 @@ def advance(sampled: Sampled, x: Any, u: Any, before: Any, now: Any) -> Any:
     return sampled.state @ x + sampled.input @ u + sampled.before @ before + sampled.now @ now + sampled.constant
 
 
-def pole_pattern(order: int) -> Array:
+def pole_pattern(order: int) -> NDArray[np.complexfloating[Any, Any]]:
     """Eigenvalues with real part -1, spread along the imaginary axis with spacing 1, shape (order,), complex.
 
     Only the spectral abscissa enters Eq. 9 and Proposition 3.3.1, so all share it; they are kept apart because

@@ -84,7 +84,8 @@ def identify(graph: Graph, memory: Memory, holds: Sequence[Any], guards: Any, ru
     location, since, lost = memory
     settled = since >= rules.settle
     searching = lost >= rules.patience
-    chosen, fits = location, 0.0
+    chosen: Any = location
+    fits: Any = 0.0
     for here in range(1, len(graph.classes) + 1):
         best, target = _best(graph, here, holds, guards, rules, searching)
         own = holds[graph.classes[here - 1]]
@@ -104,7 +105,8 @@ def identify(graph: Graph, memory: Memory, holds: Sequence[Any], guards: Any, ru
 def _best(graph: Graph, here: int, holds: Sequence[Any], guards: Any, rules: Rules, searching: Any) -> tuple[Any, Any]:
     """Score and number of the best location to be in next when in `here`; the score is NEVER where none is better."""
     own = holds[graph.classes[here - 1]]
-    best, target = np.where(searching, np.where(own > 0.5, depth(graph, here, guards), NEVER), NEVER), float(here)
+    best: Any = np.where(searching, np.where(own > 0.5, depth(graph, here, guards), NEVER), NEVER)
+    target: Any = float(here)
     for there in range(1, len(graph.classes) + 1):
         if there == here:
             continue

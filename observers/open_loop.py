@@ -11,7 +11,7 @@ from fmus.component import Signal
 from fmus.hybrid import Automaton
 from fmus.model import Model, Values
 from observers.bank import Instant, Rule, bank_model, blind, nominal_automaton, read_values
-from observers.identification import Graph, graph_of, guard_planes
+from observers.identification import Graph, depth, graph_of, guard_planes
 
 
 def make(
@@ -61,8 +61,6 @@ def guard_rule(automaton: Automaton, start: Mapping[str, Any]) -> Rule:
 
 def deepest(automaton: Automaton, graph: Graph, start: Mapping[str, Any]) -> int:
     """Number of the location that the start values lie deepest in."""
-    from observers.identification import depth
-
     values = read_values(start, automaton.states, "state")
     x = np.array([values.get(signal.name, 0.0) for signal in automaton.states])
     normals, offsets = guard_planes(automaton)

@@ -1,4 +1,4 @@
-"""The design of observers for hybrid plants: sampling, classes, Eq. 9 and Proposition 3.3.1 against their own claims."""
+"""The design of observers for hybrid plants: sampling, classes, Eq. 9 and Proposition 3.3.1 against themselves."""
 
 from __future__ import annotations
 
