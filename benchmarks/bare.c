@@ -16,16 +16,15 @@ typedef struct {
 
 typedef int (*Step)(void *self, double t, double h, const double *u, double *y);
 
-/* A row: theta_e, omega_c, omega_p, location, y in rpm. */
+/* A row: theta_e, omega_c, omega_p, y in rpm, location. */
 EXPORT int step_driveline_fmu(const Fmu *plant, int64_t steps, double h, const double *torque, double *rows) {
     for (int64_t k = 0; k < steps; k++, rows += 5) {
-        double real[4];
         int location, status = plant->set_real(plant->instance, plant->inputs, 1, &torque[k]);
         status |= plant->do_step(plant->instance, (double)k * h, h, 1);
-        status |= plant->get_real(plant->instance, plant->outputs, 4, real);
+        status |= plant->get_real(plant->instance, plant->outputs, 4, rows);
         status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
         if (status) return status;
-        rows[0] = real[0], rows[1] = real[1], rows[2] = real[2], rows[3] = location, rows[4] = real[3];
+        rows[4] = location;
     }
     return 0;
 }
@@ -38,7 +37,7 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
     return 0;
 }
 
-/* Source, plant, identity sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, location, y in rad/s, the
+/* Source, plant, identity sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, y in rad/s, location, the
  * sensor's value, the observer's three estimates and its location. The source jumps from 0 to `torque` at step `jump`. */
 EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double h, double torque, int64_t jump,
                     double rpm, double *rows) {
@@ -51,9 +50,9 @@ EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double
         status |= plant->do_step(plant->instance, t, h, 1);
         status |= plant->get_real(plant->instance, plant->outputs, 4, row + 1);
         status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
-        row[5] = rpm * row[4];
-        row[4] = location;
-        row[6] = row[5];
+        row[4] = rpm * row[4];
+        row[5] = location;
+        row[6] = row[4];
         measured[0] = row[6] / rpm;
         measured[1] = row[0];
         status |= observer->set_real(observer->instance, observer->inputs, 2, measured);

@@ -70,7 +70,7 @@ EXPORT int driveline_step(void *self, double t, double h, const double *u, doubl
     y[0] = d->theta_e = x1[0];
     y[1] = d->omega_c = x1[1];
     y[2] = d->omega_p = x1[2];
-    y[3] = d->location;
-    y[4] = RPM * x1[1];
+    y[3] = RPM * x1[1];
+    y[4] = d->location;
     return 0;
 }

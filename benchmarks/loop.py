@@ -136,7 +136,7 @@ def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) 
         observer.slave.doStep(t, STEP)
         estimates = observer.slave.getReal(observer.outputs)
         (found,) = observer.slave.getInteger(observer.integers)
-        rows[k] = torque, theta_e, omega_c, omega_p, location, y, y, *estimates, found
+        rows[k] = torque, theta_e, omega_c, omega_p, y, location, y, *estimates, found
 
 
 def _check_equal(peer: str, ours: np.ndarray, theirs: np.ndarray) -> None:

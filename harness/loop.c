@@ -1,6 +1,6 @@
 /* The step loop: steps a table of parts over a flat bus of doubles and records rows of it. */
 #define _POSIX_C_SOURCE 199309L
-#include <float.h>
+#include <math.h>
 #include <stdint.h>
 
 #ifdef _WIN32
@@ -25,7 +25,7 @@ static double seconds(void)
 #endif
 
 /* One instant in so many is timed: a prime, so that parts of every period have their share. */
-enum { TIMED = 61, KEPT = 256 };
+enum { TIMED = 251, KEPT = 256 };
 
 /* FMI's numbers of a status; DIVERGED is ours. */
 enum { OK = 0, WARNING = 1, FATAL = 4, DIVERGED = 5 };
@@ -52,7 +52,8 @@ typedef struct {
     Part *parts; /* in the order they are stepped */
     int64_t count;
     const double *bus;
-    const int64_t *recorded; /* places on the bus of the columns of a row */
+    int64_t size; /* of the bus */
+    const int64_t *recorded; /* places on the bus of the columns of a row; NULL where a row is the bus */
     int64_t columns;
 } Loop;
 
@@ -79,15 +80,31 @@ EXPORT int crankbench_python_step(void *self, double t, double h, const double *
     return (int)part->status;
 }
 
+/* Says of the first of the parts stepped so far that has an output that is not finite; OK where all are. */
+static int diverged(const Loop *loop, int64_t stepped, int64_t k, Stop *stop)
+{
+    for (int64_t i = 0; i < stepped; i++) {
+        const Part *part = &loop->parts[i];
+        for (int64_t j = 0; j < part->outputs; j++) {
+            if (isfinite(part->y[j])) continue;
+            stop->part = i;
+            stop->output = j;
+            stop->k = k;
+            return DIVERGED;
+        }
+    }
+    return OK;
+}
+
 /* Steps from instant `from` to instant `to`, t_k = t0 + k h, and writes rows from+1 ... to, each of `columns` doubles.
  * Returns OK; or the status above WARNING, or DIVERGED, that stopped it: then `stop` says where, and the row of that
- * instant is not written. */
+ * instant is not written. Outputs are looked at once an instant: a part that fails on what another left is no culprit. */
 EXPORT int crankbench_advance(const Loop *loop, int64_t from, int64_t to, double *rows, Stop *stop)
 {
     const double t0 = loop->t0, h = loop->h;
     const double *bus = loop->bus;
     const int64_t *recorded = loop->recorded;
-    const int64_t columns = loop->columns, count = loop->count;
+    const int64_t columns = loop->columns, count = loop->count, size = loop->size;
 
     for (int64_t k = from + 1; k <= to; k++) {
         const int timed = k % TIMED == 0;
@@ -99,26 +116,29 @@ EXPORT int crankbench_advance(const Loop *loop, int64_t from, int64_t to, double
             const double begin = timed ? seconds() : 0.0;
             const int status = part->step(part->self, t0 + (double)(k - n) * h, (double)n * h, part->u, part->y);
             if (timed) part->took[part->timed++ % KEPT] = seconds() - begin;
-            if (status != OK) {
-                if (status != WARNING) {
-                    stop->part = i;
-                    stop->output = -1;
-                    stop->k = k;
-                    return status;
-                }
-                part->warnings++;
+            if (status == OK) continue;
+            if (status != WARNING) {
+                if (diverged(loop, i, k, stop)) return DIVERGED;
+                stop->part = i;
+                stop->output = -1;
+                stop->k = k;
+                return status;
             }
-            for (int64_t j = 0; j < part->outputs; j++) {
-                const double y = part->y[j];
-                if (!(y >= -DBL_MAX && y <= DBL_MAX)) {
-                    stop->part = i;
-                    stop->output = j;
-                    stop->k = k;
-                    return DIVERGED;
-                }
+            part->warnings++;
+        }
+        /* The difference of a number with itself is zero, of an infinity or no number it is none. */
+        double check = 0.0;
+        if (recorded) {
+            for (int64_t j = 0; j < size; j++) check += bus[j] - bus[j];
+            for (int64_t j = 0; j < columns; j++) rows[j] = bus[recorded[j]];
+        } else {
+            for (int64_t j = 0; j < size; j++) {
+                const double value = bus[j];
+                rows[j] = value;
+                check += value - value;
             }
         }
-        for (int64_t j = 0; j < columns; j++) rows[j] = bus[recorded[j]];
+        if (check != 0.0 && diverged(loop, count, k, stop)) return DIVERGED;
         rows += columns;
     }
     return OK;

@@ -111,6 +111,7 @@ class _Sensor(ctypes.Structure):
             (name, ctypes.c_double)
             for name in ("gain", "bias", "noise", "drop_out", "resolution", "lowest", "highest", "edge")
         ),
+        ("plain", ctypes.c_int64),
         ("faults", ctypes.POINTER(_Fault)),
         ("fault_count", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("normals", "uniforms")),

@@ -40,7 +40,9 @@ class _Loop(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("t0", "h")),
         ("parts", ctypes.POINTER(_Part)),
         ("count", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("bus", "recorded")),
+        ("bus", ctypes.c_void_p),
+        ("size", ctypes.c_int64),
+        ("recorded", ctypes.c_void_p),
         ("columns", ctypes.c_int64),
     ]
 
@@ -91,9 +93,16 @@ class StartedSystem:
         self._arrays: list[NDArray[Any]] = []
         self._parts = (_Part * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
         self._recorded = np.array(system.recorded, dtype=np.int64)
-        columns = len(system.recorded)
+        everything = system.recorded == tuple(range(len(system.bus)))
         self._loop = _Loop(
-            grid.start, grid.step, self._parts, len(system.parts), address(self.bus), address(self._recorded), columns
+            grid.start,
+            grid.step,
+            self._parts,
+            len(system.parts),
+            address(self.bus),
+            len(self.bus),
+            None if everything else address(self._recorded),
+            len(system.recorded),
         )
 
     def row(self) -> Vector:
@@ -107,7 +116,7 @@ class StartedSystem:
         return {name: count for name, count in counts if count}
 
     def wall(self, instant: int) -> dict[str, float]:
-        """The time [s] each part took up to an instant: its steps times the median of those timed, one in 61.
+        """The time [s] each part took up to an instant: its steps times the median of those timed, one in 251.
 
         Parts never timed are left out.
         """
