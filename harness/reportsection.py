@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from harness.places import KeyPath
-from harness.scenario import Strict
+from harness.scenario import Quantity, Strict
 
 
 class ReportedObserver(Strict):
@@ -26,6 +26,8 @@ class Figure(Strict):
     traces: list[list[str]] = Field(min_length=1, description="one list of signals a panel")
     lines: dict[str, str] = Field(default_factory=dict, description="value with unit: name of a horizontal line")
     unit: str | None = None
+    start: Quantity | None = Field(None, alias="from", description="the time the figure begins at")
+    until: Quantity | None = Field(None, alias="to", description="the time it ends at")
 
 
 class Published(Strict):

@@ -13,8 +13,19 @@ import numpy as np
 from fmus.units import UnitError, parse_quantity, parse_unit
 from reports.folder import Case, Run
 
-# Kinds of metric, and parts of a metric with several values, of which more is better; a criterion with > says so too.
+# Kinds of metric, and parts of a metric with several values, of which more is better, and of which less is. Of others
+# a criterion with > and a number says that more is better.
 BETTER_WHEN_HIGHER = ("accuracy", "share_within", "convergence_rate")
+BETTER_WHEN_LOWER = (
+    "rmse",
+    "max_error",
+    "bias",
+    "delay_median",
+    "delay_p95",
+    "missed",
+    "false_alarms",
+    "false_alarms_per_min",
+)
 # What a definition says beside its kind.
 OPTIONS = ("description", "after", "until", "unit", "only", "meaning")
 
@@ -213,9 +224,12 @@ def _higher_is_better(run: Run, metrics: Any) -> bool:
     texts = [criterion.text for criterion in run.criteria or ()]
     for metric in metrics:
         base, _, part = metric.partition(".")
-        if part in BETTER_WHEN_HIGHER or (base in known and known[base].kind in BETTER_WHEN_HIGHER):
+        said = {part, known[base].kind if base in known else ""}
+        if said.intersection(BETTER_WHEN_HIGHER):
             return True
-        if any(re.match(rf"\s*(\w+\()?\s*{re.escape(metric)}\s*\)?\s*>", text) for text in texts):
+        if said.intersection(BETTER_WHEN_LOWER):
+            continue
+        if any(re.match(rf"\s*(\w+\()?\s*{re.escape(metric)}\s*\)?\s*>=?\s*[-+.\d]", text) for text in texts):
             return True
     return False
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from fmus.units import UnitError, parse_quantity, parse_unit
 from reports.folder import Case, Run, RunFolderError
@@ -127,11 +129,17 @@ def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
         columns = read_columns(run, case, [name for group in groups for name in group])
     except (KeyError, RunFolderError) as error:
         return Figure(title, case, problem=str(error.args[0]))
-    if not len(columns.time):
-        return Figure(title, case, problem=f"the record of {case.label} ({case.outcome}) has no rows")
+    begin, end = _si(entry.get("from"), "s"), _si(entry.get("to"), "s")
+    drawn = np.ones(len(columns.time), dtype=bool)
+    drawn &= columns.time >= (-np.inf if begin is None else begin)
+    drawn &= columns.time <= (np.inf if end is None else end)
+    if not drawn.any():
+        return Figure(title, case, problem=f"the record of {case.label} ({case.outcome}) has no rows to draw")
+    time = columns.time[drawn]
+    signals = {name: replace(column, values=column.values[drawn]) for name, column in columns.signals.items()}
     unit = str(entry.get("unit") or "")
-    panels = [_panel(run, group, columns.time, columns.signals, entry.get("lines") or {}, unit) for group in groups]
-    return Figure(title, case, tuple(panels), fault_windows(run, case, float(columns.time[-1])))
+    panels = [_panel(run, group, time, signals, entry.get("lines") or {}, unit) for group in groups]
+    return Figure(title, case, tuple(panels), fault_windows(run, case, float(time[-1])))
 
 
 def _panel(

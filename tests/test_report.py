@@ -215,6 +215,27 @@ def test_declared_figures_convert_units_and_place_thresholds_on_the_panels_of_th
     ]
 
 
+def test_a_figure_may_show_a_window_of_time(tmp_path):
+    folder = build_run(tmp_path)
+    campaign = json.loads((folder / "campaign.json").read_text())
+    campaign["report"]["figures"][0] |= {"from": "1 s", "to": "2000 ms"}
+    (folder / "campaign.json").write_text(json.dumps(campaign))
+    (figure,) = declared_figures(read_run(folder))
+    for panel in figure.panels:
+        for trace in panel.traces:
+            assert (trace.time[0], trace.time[-1]) == (pytest.approx(1.0), pytest.approx(2.0))
+            assert len(trace.values) == len(trace.time)
+
+
+def test_an_error_is_better_when_less_even_where_a_criterion_bounds_it_from_below(tmp_path):
+    folder = build_run(tmp_path)
+    criteria = json.loads((folder / "acceptance.json").read_text())
+    criteria[0]["text"] = "rmse_hybrid >= 0.999 * rmse_open_loop"
+    (folder / "acceptance.json").write_text(json.dumps(criteria))
+    found = {quantity.label: quantity for quantity in quantities(read_run(folder))}
+    assert not found["RMSE of plant.theta_e"].higher_is_better
+
+
 def test_interactive_figures_are_valid_plotly_with_one_time_axis(tmp_path):
     (figure,) = declared_figures(read_run(build_run(tmp_path)))
     plot = interactive(figure, 500)
