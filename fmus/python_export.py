@@ -54,7 +54,8 @@ def build_python_fmu(
     script = _SCRIPT.format(name=model.name, module=module, attribute=attribute, identifier=identifier, starts=starts)
     path = Path(path)
     with tempfile.TemporaryDirectory() as folder:
-        source = Path(folder) / f"{identifier}_slave.py"
+        # Python knows a module by its name: two FMUs in one process must not share it unless they are the same.
+        source = Path(folder) / f"{identifier}_{token(script)[1:9]}.py"
         source.write_text(script)
         packed = Path(FmuBuilder.build_FMU(source, dest=Path(folder) / "packed.fmu"))
         described = python_description(interface, identifier, token(script), version("crankbench"))

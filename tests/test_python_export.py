@@ -57,6 +57,13 @@ def test_a_model_that_cannot_be_traced_runs_with_python_inside(tmp_path: Path) -
     np.testing.assert_allclose(result["theta"], exact, rtol=0, atol=1e-9)
 
 
+def test_two_exports_of_one_model_keep_their_own_start_values_in_one_process(tmp_path: Path) -> None:
+    for start in (1e-3, 2e-3):
+        path = build_python_fmu("tests.test_python_export", "PENDULUM", tmp_path / "p.fmu", overrides={"theta": start})
+        result = simulate_fmu(str(path), stop_time=0.01, output_interval=1e-2, output=["theta"])
+        assert result["theta"][0] == start
+
+
 def test_units_and_kinds_are_described_as_in_the_native_export(tmp_path: Path) -> None:
     python = read_model_description(build_python_fmu("fmus.plants.driveline", "MODEL", tmp_path / "python.fmu"))
     native = read_model_description(build_fmu(DRIVELINE, tmp_path / "native.fmu"))

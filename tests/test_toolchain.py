@@ -159,7 +159,7 @@ def test_a_read_only_cache_folder_is_named_with_the_remedy(tmp_path, monkeypatch
 def test_a_cache_folder_that_cannot_be_made_is_named_with_the_remedy(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("CRANKBENCH_CACHE", str(tmp_path / "file" / "cache"))
-    with pytest.raises(ConfigurationError, match="cannot keep builds in .*; set CRANKBENCH_CACHE"):
+    with pytest.raises(ConfigurationError, match=r"cannot keep builds in .*; set CRANKBENCH_CACHE"):
         toolchain.cache_folder()
 
 
