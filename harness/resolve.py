@@ -57,8 +57,8 @@ def _from_file(spec: ModelPart, part: str, found: Findings) -> Resolved | None:
         found.at("set").add("wants a model in a module: an FMU has no named sets; give the values under `with`")
         return None
     variables = [variable for variable in describe(path).variables if variable.settable and variable.on_bus]
-    starts = read_settings((_as_signal(variable) for variable in variables), spec.settings, found.at("with"))
-    return None if starts is None else Resolved(load_fmu(path, starts=starts, name=part), starts)
+    starts = read_settings((_as_signal(variable) for variable in variables), spec.settings, found.at("with")) or {}
+    return Resolved(load_fmu(path, starts=starts, name=part), starts)
 
 
 def _as_signal(variable: Variable) -> Signal:
@@ -122,14 +122,16 @@ def _from_model(
     signals = (*model.parameters, *model.states, *model.discrete, *SOLVER)
     chosen = _parameter_set(model, spec.parameter_set, found.at("set"))
     given = read_settings(signals, settings, found.at("with"))
-    if chosen is None or given is None or not _samples_on_steps(model, {**chosen, **given}, step, found):
+    # With wrong settings the part is made as declared, so that what is wrong with its wires is told too.
+    starts = {} if chosen is None or given is None else {**chosen, **given}
+    if not _samples_on_steps(model, starts, step, found):
         return None
     try:
-        component = load_fmu(_exported(_Same(model)), starts={**chosen, **given}, name=part, role=model.role)
+        component = load_fmu(_exported(_Same(model)), starts=starts, name=part, role=model.role)
     except ModelError as error:
         found.at("use").tell(f"{part}: {error}")
         return None
-    return Resolved(component, {**chosen, **given})
+    return Resolved(component, starts)
 
 
 def _samples_on_steps(model: Model, starts: Mapping[str, float], step: float, found: Findings) -> bool:

@@ -460,3 +460,17 @@ def test_what_was_opened_is_closed_when_a_problem_is_found(monkeypatch: pytest.M
     monkeypatch.setattr(loop_parts.Linear, "close", lambda self: closed.append("closed"))
     problems({"a": {"use": "loop_parts:linear", "with": {"inputs": 0}}, "b": {"use": "sensor", "of": "a.nothing"}})
     assert closed == ["closed"]
+
+
+def test_wrong_settings_do_not_hide_what_is_wrong_with_the_wires():
+    plant = {"use": "fmus.plants.driveline", "with": {"k": "1500 N.m", "kk": 3}, "wires": {"T_engine": "torque"}}
+    parts = {
+        "torque": {"use": "source", "unit": "N.m", "constant": "1 N.m"},
+        "plant": plant,
+        "observer": {**OBSERVER, "wires": {"y": "plant.y", "location": "plant.location"}},
+    }
+    said = "\n".join(problems(parts))
+    assert "plant.with.k wants N.m/rad" in said
+    assert "did you mean 'k'?" in said
+    assert "did you mean 'T_eng'?" in said
+    assert "observer.y reads the truth" in said
