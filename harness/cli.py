@@ -111,6 +111,20 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR", help="A run fol
 
 
 @app.command()
+def compare(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR DIR...", help="Run folders, the base first.")],
+    out: Annotated[Path, typer.Option(help="The page to write.")] = Path("comparison.html"),
+) -> None:
+    """Write one page over several run folders: what changed, and whether the ranking holds."""
+    for folder in folders:
+        if not (folder / "campaign.json").is_file():
+            raise ConfigurationError(f"{folder} is no run folder: it holds no campaign.json")
+    if len(folders) < 2:
+        raise ConfigurationError(f"compare wants two run folders or more, got {len(folders)}")
+    print(*(entry.load()(folders, out) for entry in entry_points(group="crankbench.comparison")), sep="\n")
+
+
+@app.command()
 def build(
     model: Annotated[str, typer.Argument(help="A plant's name like driveline, or module or module:name.")],
     out: Annotated[Path, typer.Option(help="The .fmu file to write.")],

@@ -35,12 +35,12 @@ def write_report(folder: Path | str) -> Path:
     """
     run = read_run(folder)
     path = run.path / "report.html"
-    _write(path, render(run))
+    write_page(path, render(run))
     return path
 
 
-def render(run: Run) -> str:
-    """The page. Metrics and verdicts are the run's own; only medians and distributions over cases are made here."""
+def page(template: str, **content: Any) -> str:
+    """A page of the house's style from one of the templates."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -49,15 +49,21 @@ def render(run: Run) -> str:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {"short": numbers.short, "with_unit": numbers.with_unit}
+    style = Markup((TEMPLATES / "report.css").read_text(encoding="utf-8"))
+    return environment.get_template(template).render(style=style, **content)
+
+
+def render(run: Run) -> str:
+    """The page. Metrics and verdicts are the run's own; only medians and distributions over cases are made here."""
     titles, drawn = standing.observers(run), declared_figures(run)
     errors, confusions = pool(run)
     quantities = standing.quantities(run)
     comparable = [quantity for quantity in quantities if len(quantity.metrics) > 1]
     solver, starts = provenance.applied_starts(run)
     plots = [interactive(figure, points_a_trace(drawn)) if figure.panels else None for figure in drawn]
-    return environment.get_template("report.html.jinja").render(
+    return page(
+        "report.html.jinja",
         run=run,
-        style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         verdict=verdict(run),
         outcomes=Counter(case.outcome for case in run.cases).most_common(),
         causes=Counter((case.outcome, case.message) for case in run.failed).most_common(),
@@ -236,11 +242,12 @@ def _script_json(plot: dict[str, Any] | None) -> Markup:
     )
 
 
-def _write(path: Path, page: str) -> None:
+def write_page(path: Path, content: str) -> None:
+    """Write a page whole or not at all."""
     handle, temporary = tempfile.mkstemp(prefix=".report.", suffix=".html", dir=path.parent)
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(page)
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         Path(temporary).chmod(0o644)
