@@ -7,13 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.etree import ElementTree
 
 from fmus.archive import unpack
-from fmus.component import ConfigurationError
+from fmus.component import ConfigurationError, Problem
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
 from fmus.variable import Variable, read_variable
+
+# What becomes of the rules of the standard that a model description breaks: refused, read all the same and told of,
+# or not looked for.
+Validation = Literal["strict", "warn", "off"]
 
 
 @dataclass(frozen=True)
@@ -64,23 +68,24 @@ class FmuDescription:
         }
 
 
-def describe(path: str | Path) -> FmuDescription:
+def describe(path: str | Path, validation: Validation = "warn") -> FmuDescription:
     """What the FMU at `path` says of itself; see FmuDescription.
 
-    A model description that breaks rules of the standard is read all the same, and the rules it breaks are `cautions`.
+    A model description that breaks rules of the standard is refused under `strict`; under `warn` it is read all the
+    same, and the rules it breaks are `cautions`; under `off` they are not looked for.
 
-    Raises ConfigurationError: the archive is refused, or its model description cannot be read.
+    Raises ConfigurationError: the archive is refused, or its model description cannot be read, or is refused.
     """
     unpacked = unpack(path)
     try:
-        return _described(unpacked.folder, unpacked.sha256)
+        return _described(unpacked.folder, unpacked.sha256, validation)
     except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error}") from error
+        raise ConfigurationError([Problem(f"{path}: {problem}") for problem in error.problems]) from error
 
 
 @lru_cache(maxsize=64)
-def _described(folder: Path, sha256: str) -> FmuDescription:
-    read, broken = _read(folder)
+def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescription:
+    read, broken = _read(folder, validation)
     relative = _relative_quantities(folder)
     units = {unit.name: unit.baseUnit for unit in read.unitDefinitions}
     variables = tuple(read_variable(v, units, v.name in relative) for v in read.modelVariables)
@@ -117,8 +122,8 @@ def _described(folder: Path, sha256: str) -> FmuDescription:
     )
 
 
-def _read(folder: Path) -> tuple[Any, list[str]]:
-    """FMPy's model description, and the rules of the standard it breaks."""
+def _read(folder: Path, validation: Validation) -> tuple[Any, list[str]]:
+    """FMPy's model description, and the rules of the standard it breaks where those are looked for."""
     from fmpy.model_description import ValidationError, read_model_description
 
     file = folder / "modelDescription.xml"
@@ -128,13 +133,15 @@ def _read(folder: Path) -> tuple[Any, list[str]]:
     if any("<!DOCTYPE".encode(encoding) in content for encoding in ("ascii", "utf-16-le", "utf-16-be")):
         raise ConfigurationError("the model description declares a document type or entities, which is refused")
     try:
-        return read_model_description(folder, validate=True), []
+        return read_model_description(folder, validate=validation != "off"), []
     except ValidationError as error:
         broken = [str(problem) for problem in error.problems]
     except SyntaxError as error:
         raise ConfigurationError(f"the model description is not XML: {error}") from error
     except Exception as error:  # FMPy raises plain Exception for a version or a build description it does not take
         broken = [str(error)]
+    if validation == "strict":
+        raise ConfigurationError([Problem(f"breaks a rule of the standard: {rule}") for rule in broken])
     try:
         return read_model_description(folder, validate=False), broken
     except Exception as error:

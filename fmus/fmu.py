@@ -20,7 +20,7 @@ from fmus.component import (
     StepError,
     Vector,
 )
-from fmus.description import FmuDescription, describe
+from fmus.description import FmuDescription, Validation, describe
 from fmus.model import unknown
 from fmus.slave import Slave
 from fmus.units import Unit, UnitError, parse_unit
@@ -32,17 +32,23 @@ _ROUNDING = 1e-9  # relative: a start value this close to a bound, or to a whole
 
 
 def load_fmu(
-    path: str | Path, *, starts: Mapping[str, float] | None = None, name: str = "", role: Role = "plant"
+    path: str | Path,
+    *,
+    starts: Mapping[str, float] | None = None,
+    name: str = "",
+    role: Role = "plant",
+    validation: Validation = "warn",
 ) -> FmuComponent:
     """The Co-Simulation FMU at `path` as a component called `name` (its model's name when empty).
 
     `starts` are values in SI units, by variable name, for parameters, for outputs and states that may be given a start
     value, and for inputs (the value held where nothing is wired); an array's scalars are named `name[1]`, `name[1,2]`.
+    `validation` is as `describe` has it.
 
     Raises ConfigurationError: the FMU cannot be run here, or a start value names no such variable, or one that cannot
     be set, or lies outside the range the FMU declares; all such problems at once.
     """
-    description = describe(path)
+    description = describe(path, validation)
     if not description.runnable:
         raise ConfigurationError([Problem(f"{path}: {reason}") for reason in description.reasons])
     return FmuComponent(description, starts or {}, name or description.model_name, role)

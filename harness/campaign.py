@@ -23,7 +23,7 @@ from harness.reportsection import ReportSection
 from harness.scenario import Scenario
 from harness.validation import validate
 
-SCENARIO_KEYS = ("clock", "parts", "seed", "record")
+SCENARIO_KEYS = ("clock", "parts", "seed", "record", "validation")
 
 
 @dataclass(frozen=True)

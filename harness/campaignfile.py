@@ -6,9 +6,10 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
+from fmus.description import Validation
 from harness.definitions import Definition
 from harness.reportsection import ReportSection
-from harness.scenario import Clock, Measure, Part, Quantity, Strict
+from harness.scenario import VALIDATION_MEANS, Clock, Measure, Part, Quantity, Strict
 
 
 class Experiment(Strict):
@@ -50,6 +51,7 @@ class CampaignFile(Strict):
     seed: int = Field(0, ge=0)
     parts: dict[str, Part] = Field(min_length=1)
     record: list[str] | None = Field(None, description="signals to record, as part or part.output; all where absent")
+    validation: Validation = Field("warn", description=VALIDATION_MEANS)
     vary: dict[str, Any] = Field(default_factory=dict, description="path, or paths: list of values or 1..20")
     experiments: dict[str, Experiment] = Field(default_factory=dict)
     metrics: dict[str, Definition] = Field(default_factory=dict)

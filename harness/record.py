@@ -31,7 +31,7 @@ class Record:
 
     `signals` are named `part.signal`; their `unit` is the declared one, for display. `time` has shape (n,) [s] and
     `values` (n, number of signals). Where the outcome is neither ok nor warning, `part`, `failed_at` [s] and `message`
-    say what ended the run, and the rows up to there are kept.
+    say what ended the run, and the rows up to there are kept. `tolerated` are the cautions of the parts' FMUs.
     """
 
     signals: tuple[Signal, ...]
@@ -47,6 +47,7 @@ class Record:
     log: tuple[Any, ...] = ()
     wall: Mapping[str, float] = field(default_factory=dict)
     fmus: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    tolerated: tuple[Mapping[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         if self.outcome not in OUTCOMES:

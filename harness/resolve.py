@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmus.component import Component, ConfigurationError, Signal
-from fmus.description import Variable, describe
+from fmus.description import Validation, Variable, describe
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model, ModelError, unknown
@@ -34,21 +34,25 @@ class Resolved(NamedTuple):
     settings: Mapping[str, float]
 
 
-def resolve(spec: ModelPart, part: str, step: float, found: Findings) -> Resolved | None:
+def resolve(
+    spec: ModelPart, part: str, step: float, found: Findings, validation: Validation = "warn"
+) -> Resolved | None:
     """The component of a plant, observer or controller; None where problems were found.
 
     `step` [s] is what the part steps by: a `make` with an argument `sample_time` is given it unless the settings say
-    otherwise, and the sample time of a sampled model is to be a multiple of it.
+    otherwise, and the sample time of a sampled model is to be a multiple of it. `validation` is for FMU files.
     """
     try:
-        return _from_file(spec, part, found) if spec.use.endswith(".fmu") else _from_module(spec, part, step, found)
+        if spec.use.endswith(".fmu"):
+            return _from_file(spec, part, found, validation)
+        return _from_module(spec, part, step, found)
     except ConfigurationError as error:
         for problem in error.problems:
             found.at("use").tell(f"{part}: {problem}")
         return None
 
 
-def _from_file(spec: ModelPart, part: str, found: Findings) -> Resolved | None:
+def _from_file(spec: ModelPart, part: str, found: Findings, validation: Validation) -> Resolved | None:
     path = found.folder / spec.use
     if not path.is_file():
         found.at("use").add(f"wants an FMU, but there is no file {path}")
@@ -56,9 +60,9 @@ def _from_file(spec: ModelPart, part: str, found: Findings) -> Resolved | None:
     if spec.parameter_set is not None:
         found.at("set").add("wants a model in a module: an FMU has no named sets; give the values under `with`")
         return None
-    variables = [variable for variable in describe(path).variables if variable.settable and variable.on_bus]
+    variables = [variable for variable in describe(path, validation).variables if variable.settable and variable.on_bus]
     starts = read_settings((_as_signal(variable) for variable in variables), spec.settings, found.at("with")) or {}
-    return Resolved(load_fmu(path, starts=starts, name=part), starts)
+    return Resolved(load_fmu(path, starts=starts, name=part, validation=validation), starts)
 
 
 def _as_signal(variable: Variable) -> Signal:

@@ -137,6 +137,11 @@ def _record(
         log=tuple(log),
         wall=wall,
         fmus={slot.name: _provenance(slot.component) for slot in system.parts if hasattr(slot.component, "sha256")},
+        tolerated=tuple(
+            {"part": slot.name, "category": "tolerated", "text": caution}
+            for slot in system.parts
+            for caution in getattr(getattr(slot.component, "description", None), "cautions", ())
+        ),
     )
 
 

@@ -63,7 +63,7 @@ def write_case(folder: Path, case: Case, record: Record, definitions: Mapping[st
     """Keep a run: first its signals, then case.json with its metrics, which means done."""
     write_signals(record, case_folder(folder, case.key) / "signals.parquet")
     values, samples = measure(definitions, record, case.experiment) if record.outcome in COMPLETE else ({}, {})
-    warnings = [record.message] if record.outcome == "warning" else []
+    warnings = [*([record.message] if record.outcome == "warning" else []), *record.tolerated]
     content = {
         **_identity(case),
         "outcome": record.outcome,

@@ -18,7 +18,10 @@ from pydantic import (
     model_validator,
 )
 
+from fmus.description import Validation
 from fmus.units import UnitError, parse_quantity, parse_unit
+
+VALIDATION_MEANS = "rules of the standard that FMUs break: refused (strict), tolerated and listed, or not looked for"
 
 
 class Measure(NamedTuple):
@@ -234,3 +237,4 @@ class Scenario(Strict):
     parts: dict[str, Part]
     seed: int = Field(0, ge=0)
     record: list[str] | None = Field(None, description="signals to record, as part or part.output; all where absent")
+    validation: Validation = Field("warn", description=VALIDATION_MEANS)

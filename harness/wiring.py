@@ -107,7 +107,7 @@ def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], 
         here = found.at("parts", name)
         if isinstance(spec, ModelPart):
             period = _period(spec.every, grid, here.at("every"))
-            resolved = resolve(spec, name, period * grid.step, here)
+            resolved = resolve(spec, name, period * grid.step, here, scenario.validation)
             if resolved is not None:
                 built[name] = _Built(resolved.component, period, resolved.settings)
         elif isinstance(spec, SourcePart) and _known_unit(spec.unit, here.at("unit")):
