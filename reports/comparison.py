@@ -141,7 +141,7 @@ def _names(runs: Sequence[Run]) -> tuple[str, ...]:
 def _differences(runs: Sequence[Run]) -> Iterable[Difference]:
     flat = [{key: value for name in _SETTINGS for key, value in _flat(run.campaign.get(name), name)} for run in runs]
     for path in dict.fromkeys(key for one in flat for key in one):
-        values = tuple(one.get(path, "–") for one in flat)
+        values = tuple(one.get(path, "-") for one in flat)
         if len(set(values)) > 1:
             yield Difference(path, values)
 
