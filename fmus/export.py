@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
@@ -18,6 +16,7 @@ from fmus.manifest import build_description, fmi2_description, fmi3_description
 from fmus.model import Model
 from fmus.toolchain import FMI3_PLATFORMS, PLATFORMS, cache_folder, compile_shared, library_suffix, platform_name
 from fmus.tracing import trace
+from fmus.whole import write_whole
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest time a zip can hold: the same model gives the same bytes
 
@@ -41,7 +40,6 @@ def build_fmu(
         raise ConfigurationError(f"fmi wants 2 or 3, got {fmi}")
     path = Path(path)
     content = _archive(model, fmi, _platforms(platforms), overrides or {})
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, content)
     return path
 
@@ -107,18 +105,3 @@ def _archive(model: Model, fmi: int, platforms: Sequence[str], overrides: Mappin
             entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(entry, content)
     return buffer.getvalue()
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Whoever sees the name sees all of the file."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

@@ -14,6 +14,7 @@ from fmus.component import ConfigurationError
 from fmus.interface import declared_interface, with_starts
 from fmus.manifest import python_description
 from fmus.model import Model
+from fmus.whole import write_whole
 
 _SCRIPT = '''"""The slave of {name}: its equations are imported from the installed packages."""
 from fmus.interface import with_starts
@@ -45,7 +46,7 @@ def build_python_fmu(
         raise ConfigurationError("an FMU with Python inside wants PythonFMU: pip install pythonfmu")
     from pythonfmu import FmuBuilder
 
-    from fmus.export import model_identifier, write_whole
+    from fmus.export import model_identifier
 
     model: Model = getattr(importlib.import_module(module), attribute)
     identifier = model_identifier(model.name)
@@ -64,6 +65,5 @@ def build_python_fmu(
             for entry in old.infolist():
                 content = old.read(entry)
                 new.writestr(entry.filename, described if entry.filename == "modelDescription.xml" else content)
-        path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, replaced.read_bytes())
     return path

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 from fmus.component import Signal
 from fmus.model import unknown
 from fmus.units import UnitError, parse_unit
+from fmus.whole import write_whole
 
 OUTCOMES = ("ok", "warning", "discard", "error", "fatal", "crash", "timeout", "diverged", "unsupported")
 # Outcomes that leave a complete record.
@@ -76,22 +75,6 @@ def si_unit(unit: str) -> str:
         return unit
 
 
-def write_atomically(path: Path, content: bytes | str) -> None:
-    """Write the whole file or nothing: a temporary name beside it, synced, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
 def write_signals(record: Record, path: Path) -> None:
     """Write `time` and one column a signal as Parquet; the same record gives the same bytes.
 
@@ -104,7 +87,7 @@ def write_signals(record: Record, path: Path) -> None:
     table = pa.Table.from_arrays([pa.array(column, pa.float64()) for column in columns], schema=pa.schema(fields))
     buffer = io.BytesIO()
     pq.write_table(table, buffer, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
-    write_atomically(path, buffer.getvalue())
+    write_whole(path, buffer.getvalue())
 
 
 def read_signals(path: Path, names: Sequence[str] | None = None) -> Record:

@@ -14,10 +14,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from fmus.whole import write_whole
 from harness.campaign import Campaign, Case
 from harness.criteria import Judged, Verdict
 from harness.definitions import Definition, Value, digest, measure, value_part, written
-from harness.record import COMPLETE, Record, read_signals, write_atomically, write_signals
+from harness.record import COMPLETE, Record, read_signals, write_signals
 
 VERSIONED = ("crankbench", "numpy", "scipy", "casadi", "fmpy", "pyarrow", "pandas")
 # Outcomes that depend on the machine of the day: such a case is run again when the campaign is resumed.
@@ -41,7 +42,7 @@ def plain(value: Any) -> Any:
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON at once or not at all."""
-    write_atomically(path, json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_whole(path, json.dumps(plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
 def case_folder(folder: Path, key: str) -> Path:
@@ -130,7 +131,7 @@ def write_metrics(folder: Path, cases: Iterable[Judged], definitions: Mapping[st
     for case in cases:
         for name, (value, unit) in case.metrics.items():
             table.writerow([case.key, case.experiment, value_part(definitions, name), name, repr(value), unit])
-    write_atomically(folder / "metrics.csv", text.getvalue())
+    write_whole(folder / "metrics.csv", text.getvalue())
 
 
 def write_acceptance(folder: Path, verdicts: Iterable[Verdict]) -> None:

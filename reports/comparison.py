@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from fmus.whole import write_whole
 from reports import standing
 from reports.folder import Case, Run, RunFolderError, read_run
-from reports.html import page, verdict, write_page
+from reports.html import page, verdict
 
 # What of campaign.json says how a campaign was run; the rest are results, or follows from these.
 _SETTINGS = ("clock", "seeds", "parts", "experiments", "metrics", "accept", "versions", "platform", "commit", "fmus")
@@ -96,7 +97,7 @@ def write_comparison(folders: Sequence[Path | str], path: Path | str) -> Path:
         listed=found.differences[:_DIFFERENCES_LISTED],
         titles={part: title for run in reversed(found.runs) for part, title in standing.observers(run).items()},
     )
-    write_page(Path(path), content)
+    write_whole(Path(path), content)
     return Path(path)
 
 
@@ -176,8 +177,8 @@ def _rankings(runs: Sequence[Run]) -> Iterable[Ranking]:
         places = {
             name: tuple(list(one).index(name) + 1 if name in one else None for one in board) for name in observers
         }
-        medians = {name: tuple(one.get(name, math.nan) for one in board) for name in observers}
-        yield Ranking(label, unit, observers, medians, places, len(orders) == 1 and len(shared) > 1)
+        reached = {name: tuple(one.get(name, math.nan) for one in board) for name in observers}
+        yield Ranking(label, unit, observers, reached, places, len(orders) == 1 and len(shared) > 1)
 
 
 def _median_of_medians(

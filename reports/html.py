@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import tempfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
 from reports.errors import Errors, pool, samples_of
 from reports.folder import Case, Run, read_run
@@ -35,7 +34,7 @@ def write_report(folder: Path | str) -> Path:
     """
     run = read_run(folder)
     path = run.path / "report.html"
-    write_page(path, render(run))
+    write_whole(path, render(run))
     return path
 
 
@@ -240,18 +239,3 @@ def _script_json(plot: dict[str, Any] | None) -> Markup:
     return (
         Markup(json.dumps(plot, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")) if plot else Markup("")
     )
-
-
-def write_page(path: Path, content: str) -> None:
-    """Write a page whole or not at all."""
-    handle, temporary = tempfile.mkstemp(prefix=".report.", suffix=".html", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise

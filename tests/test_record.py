@@ -5,7 +5,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from fmus.component import Signal
-from harness.record import Record, read_signals, write_atomically, write_signals
+from fmus.whole import write_whole
+from harness.record import Record, read_signals, write_signals
 
 
 def record() -> Record:
@@ -51,9 +52,9 @@ def test_only_the_named_columns_are_read(tmp_path):
 
 def test_a_failed_write_leaves_the_old_file_and_no_other(tmp_path):
     path = tmp_path / "case.json"
-    write_atomically(path, "old")
+    write_whole(path, "old")
     with pytest.raises(UnicodeEncodeError):
-        write_atomically(path, "\ud800")
+        write_whole(path, "\ud800")
     assert [file.name for file in tmp_path.iterdir()] == ["case.json"]
     assert path.read_text() == "old"
 
