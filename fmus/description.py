@@ -11,7 +11,9 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 from fmus.archive import unpack
+from fmus.binary import misfit
 from fmus.component import ConfigurationError, Problem
+from fmus.modelxml import checked_description
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
 from fmus.variable import Variable, read_variable
 
@@ -126,12 +128,7 @@ def _read(folder: Path, validation: Validation) -> tuple[Any, list[str]]:
     """FMPy's model description, and the rules of the standard it breaks where those are looked for."""
     from fmpy.model_description import ValidationError, read_model_description
 
-    file = folder / "modelDescription.xml"
-    if not file.is_file():
-        raise ConfigurationError("wants a modelDescription.xml at the top of the archive, found none")
-    content = file.read_bytes()
-    if any("<!DOCTYPE".encode(encoding) in content for encoding in ("ascii", "utf-16-le", "utf-16-be")):
-        raise ConfigurationError("the model description declares a document type or entities, which is refused")
+    checked_description(folder)
     try:
         return read_model_description(folder, validate=validation != "off"), []
     except ValidationError as error:
@@ -207,6 +204,8 @@ def _reasons(version: int, cosimulation: bool, library: Path | None, platforms: 
         reasons.append("it offers no Co-Simulation, the only kind that is run")
     if library is None:
         reasons.append(f"it has no binary for {native_platform()}; it has {', '.join(platforms) or 'none'}")
+    elif wrong := misfit(library, native_platform()):
+        reasons.append(wrong)
     return tuple(reasons)
 
 

@@ -126,7 +126,7 @@ def test_what_is_no_archive_or_a_damaged_one_is_told(tmp_path: Path):
             b'<!DOCTYPE x [<!ENTITY a "b">]><fmiModelDescription fmiVersion="2.0">&a;</fmiModelDescription>',
             "is refused",
         ),
-        (b'<fmiModelDescription fmiVersion="9.0"/>', "cannot be read"),
+        (b'<fmiModelDescription fmiVersion="9.0"/>', "wants an fmiVersion of 1.0, 2.0 or 3.0"),
     ],
 )
 def test_a_model_description_that_cannot_be_read_is_told(tmp_path: Path, content: bytes | None, told: str):
