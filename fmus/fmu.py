@@ -151,6 +151,16 @@ class FmuComponent:
         return self._slave.failure(status, time)
 
     @property
+    def slave(self) -> Slave:
+        """What calls the FMU, for those who question it call by call."""
+        return self._slave
+
+    @property
+    def starts(self) -> list[tuple[Variable, tuple[float | str, ...]]]:
+        """The start values that `start` sets, in the FMU's own units."""
+        return self._starts
+
+    @property
     def log(self) -> list[Message]:
         """The FMU's messages since `start`, oldest first: all, or the first 64 and the last 192."""
         return self._slave.adapter.log()

@@ -44,6 +44,11 @@ class Slave:
 
         Raises StepError: a call ended in a status above warning.
         """
+        self.begin(t0, starts, u)
+        self.exit_initialisation(t0, y)
+
+    def begin(self, t0: float, starts: Iterable[Start], u: Vector) -> None:
+        """A fresh instance in initialisation, with its start values and inputs set. Raises StepError."""
         self.free()
         adapter = self.adapter
         adapter.renew(t0)
@@ -54,6 +59,17 @@ class Slave:
         self._instantiate(t0)
         adapter.table.failed = OK
         self._switch_messages_on(t0)
+        self._enter_initialisation(t0, starts, u)
+
+    def restart(self, t0: float, starts: Iterable[Start], u: Vector, y: Vector) -> None:
+        """As `start`, but of the instance there is, by its reset. Raises StepError."""
+        self.call(t0, "Reset")
+        self._running = False
+        self._enter_initialisation(t0, starts, u)
+        self.exit_initialisation(t0, y)
+
+    def _enter_initialisation(self, t0: float, starts: Iterable[Start], u: Vector) -> None:
+        adapter = self.adapter
         if self._version == 2:
             self._call(t0, "SetupExperiment", 0, 0.0, t0, 0, 0.0)
             self._set(t0, starts)
@@ -62,9 +78,20 @@ class Slave:
             self._set(t0, starts)
             self._call(t0, "EnterInitializationMode", False, 0.0, t0, False, 0.0)
         self._check(t0, _STAGES[0], adapter.write(adapter.self, u.ctypes.data))
+
+    def exit_initialisation(self, t0: float, y: Vector) -> None:
+        """End the initialisation; the initial outputs are put into y."""
+        adapter = self.adapter
         self._call(t0, "ExitInitializationMode")
         self._running = True
         self._check(t0, _STAGES[2], adapter.read(adapter.self, y.ctypes.data))
+
+    def call(self, time: float, function: str, *arguments: Any) -> None:
+        """Call a function of the standard on the instance, by its name without the prefix, like `Reset`.
+
+        Raises StepError: it ended in a status above warning.
+        """
+        self._call(time, function, *arguments)
 
     def failure(self, status: int, time: float) -> StepError:
         """The error for a step from `time` [s] that ended in `status`, with the FMU's last message on it."""
