@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fmus.adapter import Message
+from fmus.binding import bind_units
 from fmus.component import (
     WARNING,
     ConfigurationError,
@@ -38,17 +39,18 @@ def load_fmu(
     name: str = "",
     role: Role = "plant",
     validation: Validation = "warn",
+    units: Mapping[str, str] | None = None,
 ) -> FmuComponent:
     """The Co-Simulation FMU at `path` as a component called `name` (its model's name when empty).
 
     `starts` are values in SI units, by variable name, for parameters, for outputs and states that may be given a start
     value, and for inputs (the value held where nothing is wired); an array's scalars are named `name[1]`, `name[1,2]`.
-    `validation` is as `describe` has it.
+    `validation` is as `describe` has it; `units` are for variables that declare none, see `bind_units`.
 
     Raises ConfigurationError: the FMU cannot be run here, or a start value names no such variable, or one that cannot
     be set, or lies outside the range the FMU declares; all such problems at once.
     """
-    description = describe(path, validation)
+    description = bind_units(describe(path, validation), units or {}, name or "the FMU")
     if not description.runnable:
         raise ConfigurationError([Problem(f"{path}: {reason}") for reason in description.reasons])
     return FmuComponent(description, starts or {}, name or description.model_name, role)

@@ -23,6 +23,7 @@ from harness.reportsection import ReportSection
 from harness.scenario import Scenario
 from harness.validation import validate
 
+OVERRIDE = "--set "  # begins the place of what stands on the command line
 SCENARIO_KEYS = ("clock", "parts", "seed", "record", "validation")
 
 
@@ -126,7 +127,7 @@ def _override(
     """The document with the overrides put in, and those of them that experiments and axes must not undo."""
     on_top = []
     for override in overrides:
-        place = Place(f"--set {override}")
+        place = Place(f"{OVERRIDE}{override}")
         path, equals, text = override.partition("=")
         if not equals or not path.strip():
             problems.append(Problem("wants path=value, like plant.k='1500 N.m/rad'", *place))
@@ -212,6 +213,7 @@ def _case(
     problems: list[Problem],
 ) -> Iterator[Case]:
     document, places, found = apply(scenario, places, settings)
+    _anchor(document, places)
     checked, misfits = validate(Scenario, document, places)
     problems += found + misfits
     if checked is None:
@@ -220,3 +222,13 @@ def _case(
     varied = ", ".join(f"{path} = {value}" for path, value in values.items())
     label = ": ".join(part for part in (experiment, varied) if part) or "as declared"
     yield Case(case_key(checked, experiment, folder), label, experiment, values, checked, places)
+
+
+def _anchor(document: Mapping[str, Any], places: Places) -> None:
+    """FMUs named on the command line are looked for from where it was typed, not from the campaign's folder."""
+    parts = document.get("parts")
+    for name, part in parts.items() if isinstance(parts, dict) else ():
+        use = part.get("use") if isinstance(part, dict) else None
+        typed = places.of(("parts", name, "use")).file.startswith(OVERRIDE)
+        if typed and isinstance(use, str) and use.endswith(".fmu"):
+            part["use"] = str(Path(use).absolute())

@@ -48,12 +48,14 @@ class Axis:
 def locate(path: str, scenario: Mapping[str, Any]) -> KeyPath:
     """The keys that a path like `plant.k`, `encoder.noise.std`, `clock.time.step` or `seed` leads to.
 
-    After a part's name stands a key of the part's own, else a name under its `with`.
+    After a part's name stands a key of the part's own, else a name under its `with`. `parts.` may stand before it.
     Raises PathError: no such part.
     """
     head, *rest = path.strip().split(".")
     parts = scenario.get("parts")
     parts = parts if isinstance(parts, dict) else {}
+    if head == "parts" and head not in parts and rest:
+        head, *rest = rest
     if head not in parts:
         if head in ROOTS:
             return (head, *rest)

@@ -29,8 +29,12 @@ def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
     The content of a part is its FMU file, or its module with everything that imports from the same packages.
     `folder` is where relative paths start. Metrics are no part of it: they are measured again from the record.
     """
+    written = scenario.model_dump(mode="json", by_alias=True)
+    for part in written["parts"].values():
+        if part["use"].endswith(".fmu"):
+            part["use"] = Path(part["use"]).name  # its content counts, not where it lies
     content = {
-        "scenario": scenario.model_dump(mode="json", by_alias=True),
+        "scenario": written,
         "experiment": experiment,
         "parts": {name: _content(part, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)},
         "common": _sources_digest(COMMON),

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmus.binding import bind_units
 from fmus.component import Component, ConfigurationError, Signal
 from fmus.description import Validation, Variable, describe
 from fmus.export import cached_fmu
@@ -45,7 +46,9 @@ def resolve(
     try:
         if spec.use.endswith(".fmu"):
             return _from_file(spec, part, found, validation)
-        return _from_module(spec, part, step, found)
+        if _is_plain(spec, found):
+            return _from_module(spec, part, step, found)
+        return None
     except ConfigurationError as error:
         for problem in error.problems:
             found.at("use").tell(f"{part}: {problem}")
@@ -60,9 +63,26 @@ def _from_file(spec: ModelPart, part: str, found: Findings, validation: Validati
     if spec.parameter_set is not None:
         found.at("set").add("wants a model in a module: an FMU has no named sets; give the values under `with`")
         return None
-    variables = [variable for variable in describe(path, validation).variables if variable.settable and variable.on_bus]
+    described = describe(path, validation)
+    try:
+        described = bind_units(described, spec.units, part)
+    except ConfigurationError as error:
+        for problem in error.problems:
+            found.at("units").tell(str(problem))
+        return None
+    variables = [variable for variable in described.variables if variable.settable and variable.on_bus]
     starts = read_settings((_as_signal(variable) for variable in variables), spec.settings, found.at("with")) or {}
-    return Resolved(load_fmu(path, starts=starts, name=part, validation=validation), starts)
+    role = spec.role or "plant"
+    component = load_fmu(path, starts=starts, name=part, role=role, validation=validation, units=spec.units)
+    return Resolved(component, starts)
+
+
+def _is_plain(spec: ModelPart, found: Findings) -> bool:
+    """Whether a module's part leaves out what only an FMU is told; a problem for each that it does not."""
+    keys = [key for key in ("role", "kind", "units") if getattr(spec, key)]
+    for key in keys:
+        found.at(key).add(f"wants an .fmu: {spec.use} says this of itself")
+    return not keys
 
 
 def _as_signal(variable: Variable) -> Signal:

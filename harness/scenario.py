@@ -40,7 +40,8 @@ class Measure(NamedTuple):
             raise UnitError(f"wants {wanted}, got the bare number {self.value:g}: write '{self.value:g} {wanted}'")
         source = parse_unit(self.unit)
         if not source.same_dimension(target):
-            raise UnitError(f"wants {wanted}, got {self.value:g} {self.unit}".rstrip())
+            asked = wanted or "a bare number, since no unit is declared (an FMU's is bound under its `units`)"
+            raise UnitError(f"wants {asked}, got {self.value:g} {self.unit}".rstrip())
         return source.to_si(self.value)
 
     def __str__(self) -> str:
@@ -199,6 +200,15 @@ class ModelPart(Strict):
     )
     wires: dict[str, str] = Field(default_factory=dict, description="input: part or part.output")
     every: Quantity | None = Field(None, description="step of this part; a multiple of the clock's step")
+    role: Literal["plant", "observer", "controller"] | None = Field(
+        None, description="what an .fmu stands for; a plant where absent. An observer may not read a plant unmeasured"
+    )
+    kind: Literal["cs", "me"] | None = Field(
+        None, description="how an .fmu that offers both is run: Co-Simulation or Model Exchange; cs where absent"
+    )
+    units: dict[str, str] = Field(
+        default_factory=dict, description="variable: unit, for variables of an .fmu that declare none"
+    )
 
 
 # The tags of the three kinds of part, in the words that error messages use.

@@ -195,7 +195,7 @@ def _wires(scenario: Scenario, built: Mapping[str, _Built | None], found: Findin
 
 
 def _check_wires(
-    wires: Iterable[Wire], built: Mapping[str, _Built | None], scenario: Scenario, found: Findings
+    wires: Sequence[Wire], built: Mapping[str, _Built | None], scenario: Scenario, found: Findings
 ) -> None:
     """Units, kinds, and that no observer reads the truth."""
     for entry in wires:
@@ -205,7 +205,8 @@ def _check_wires(
         given = _output((entry.source, entry.output), built)
         wanted = next(signal for signal in target.component.inputs if signal.name == entry.input)
         if not parse_unit(given.unit).same_dimension(parse_unit(wanted.unit)):
-            here.tell(f"{entry.part}.{entry.input} wants {_named(wanted)}, got {_named(given)} from {entry.source}")
+            told = f"{entry.part}.{entry.input} wants {_named(wanted)}, got {_named(given)} from {entry.source}"
+            here.tell(told + _binding(entry, given, wanted, wires))
         if wanted.kind != "real" and given.kind == "real" and source.component.role != "source":
             here.tell(f"{entry.part}.{entry.input} wants {wanted.kind} values, got real ones from {entry.source}")
         if source.component.role == "plant" and target.component.role == "observer":
@@ -214,6 +215,21 @@ def _check_wires(
                 f"{entry.part}.{entry.input} reads the truth, {truth}: put a sensor between, "
                 f"like `{entry.output}_sensor: {{use: sensor, of: {truth}}}`"
             )
+
+
+def _binding(entry: Wire, given: Signal, wanted: Signal, wires: Sequence[Wire]) -> str:
+    """How to bind a unit to the side of a wire that has none; nothing where both have one."""
+    if given.unit and wanted.unit:
+        return ""
+    part, name, unit = entry.source, entry.output, wanted.unit
+    if given.unit:
+        part, name, unit = entry.part, entry.input, given.unit
+    before = [one for one in wires if one.part == part and one.input == "of"]
+    while before and not given.unit:  # a sensor reads in the unit of what it measures
+        part, name = before[0].source, before[0].output
+        before = [one for one in wires if one.part == part and one.input == "of"]
+    variable = name.partition("[")[0]
+    return f"; {part} does not declare the unit of {name}: bind it, like `{part}: {{units: {{{variable}: {unit}}}}}`"
 
 
 def _named(signal: Signal) -> str:
