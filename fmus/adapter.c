@@ -42,7 +42,7 @@ typedef struct {
 
 /* SI value = factor * value + offset */
 typedef struct {
-    size_t index; /* in the block */
+    size_t position; /* on the bus */
     double factor, offset;
 } Conversion;
 
@@ -50,14 +50,12 @@ typedef struct {
     Function access;
     const uint32_t *references;
     size_t n_references, n_values;
-    size_t first;  /* place on the bus of the first value */
-    int straight;  /* the values lie in a row on the bus as the FMU has them: nothing of what follows is used */
-    int type;
+    size_t first;    /* place on the bus of the first value */
+    void *buffer;    /* the values as the FMU has them; NULL: they lie in a row on the bus as doubles */
+    double *scratch; /* inputs in the FMU's units before they are narrowed; the buffer itself where that has doubles */
+    const Conversion *conversions, *conversions_end; /* of each value of a buffered input; of outputs not in SI units */
     const size_t *positions; /* of each value on the bus */
-    const Conversion *conversions;
-    size_t n_conversions;
-    double *scratch; /* NULL: the values lie in a row on the bus, and are converted there */
-    void *buffer;    /* NULL: the FMU's type is double */
+    int type;
 } Block;
 
 typedef struct {
@@ -203,7 +201,7 @@ static void narrow(int type, const double *from, void *to, size_t n)
         y[positions[i]] = (double)((const T *)from)[i];                                                                \
     break
 
-static void widen(int type, const void *from, double *y, const size_t *positions, size_t n)
+static void widen_others(int type, const void *from, double *y, const size_t *positions, size_t n)
 {
     switch (type) {
     case FLOAT64: WIDEN(double);
@@ -212,7 +210,6 @@ static void widen(int type, const void *from, double *y, const size_t *positions
     case UINT8: WIDEN(uint8_t);
     case INT16: WIDEN(int16_t);
     case UINT16: WIDEN(uint16_t);
-    case INT32: WIDEN(int32_t);
     case UINT32: WIDEN(uint32_t);
     case INT64: WIDEN(int64_t);
     case UINT64: WIDEN(uint64_t);
@@ -221,6 +218,18 @@ static void widen(int type, const void *from, double *y, const size_t *positions
         for (size_t i = 0; i < n; i++)
             y[positions[i]] = ((const int *)from)[i] != 0;
         break;
+    }
+}
+
+/* Without a call for the type that integers mostly have. */
+static inline void widen(int type, const void *from, double *y, const size_t *positions, size_t n)
+{
+    if (type == INT32) {
+        const int32_t *values = from;
+        for (size_t i = 0; i < n; i++)
+            y[positions[i]] = (double)values[i];
+    } else {
+        widen_others(type, from, y, positions, n);
     }
 }
 
@@ -248,18 +257,14 @@ static inline bool fine(int status)
     return (unsigned)status <= WARNING;
 }
 
-static void *converted_inputs(const Block *block, const double *u)
+/* One pass from the bus to the buffer; of a value in its SI unit the factor is 1 and the offset 0, which change none. */
+static inline const void *buffered_inputs(const Block *block, const double *u)
 {
-    for (size_t i = 0; i < block->n_values; i++)
-        block->scratch[i] = u[block->positions[i]];
-    for (size_t c = 0; c < block->n_conversions; c++) {
-        const Conversion *conversion = &block->conversions[c];
-        double *value = &block->scratch[conversion->index];
-        *value = (*value - conversion->offset) / conversion->factor;
-    }
-    if (!block->buffer)
-        return block->scratch;
-    narrow(block->type, block->scratch, block->buffer, block->n_values);
+    double *value = block->scratch;
+    for (const Conversion *c = block->conversions, *end = block->conversions_end; c < end; c++)
+        *value++ = (u[c->position] - c->offset) / c->factor;
+    if (block->type != FLOAT64)
+        narrow(block->type, block->scratch, block->buffer, block->n_values);
     return block->buffer;
 }
 
@@ -267,8 +272,8 @@ static inline int write_blocks(int version, Slave *slave, const Block *block, co
 {
     int all = OK;
     for (; block < end; block++) {
-        void *values = block->straight ? (void *)(u + block->first) : converted_inputs(block, u);
-        int status = access_values(version, block, slave->instance, values);
+        const void *values = block->buffer ? buffered_inputs(block, u) : u + block->first;
+        int status = access_values(version, block, slave->instance, (void *)values);
         if (!fine(status))
             return ended(slave, status, SETTING);
         all |= status;
@@ -276,28 +281,18 @@ static inline int write_blocks(int version, Slave *slave, const Block *block, co
     return all;
 }
 
-static void convert_outputs(const Block *block, const void *values, double *y)
-{
-    if (block->scratch)
-        widen(block->type, values, y, block->positions, block->n_values);
-    for (size_t c = 0; c < block->n_conversions; c++) {
-        const Conversion *conversion = &block->conversions[c];
-        double *value = &y[block->positions[conversion->index]];
-        *value = conversion->factor * *value + conversion->offset;
-    }
-}
-
 static inline int read_blocks(int version, Slave *slave, double *y)
 {
     int all = OK;
     for (const Block *block = slave->outputs, *end = slave->outputs_end; block < end; block++) {
-        void *values = block->buffer ? block->buffer : block->scratch ? block->scratch : y + block->first;
-        int status = access_values(version, block, slave->instance, values);
+        int status = access_values(version, block, slave->instance, block->buffer ? block->buffer : y + block->first);
         if (!fine(status))
             return ended(slave, status, GETTING);
-        if (!block->straight)
-            convert_outputs(block, values, y);
         all |= status;
+        if (block->buffer)
+            widen(block->type, block->buffer, y, block->positions, block->n_values);
+        for (const Conversion *c = block->conversions, *last = block->conversions_end; c < last; c++)
+            y[c->position] = c->factor * y[c->position] + c->offset;
     }
     return all;
 }

@@ -27,6 +27,13 @@ class Passage(NamedTuple):
 
 # By major version of FMI and type.
 PASSAGES: Mapping[int, Mapping[str, Passage]] = {
+    1: {
+        "Real": Passage("Real", 0, c_double),
+        "Integer": Passage("Integer", 6, c_int),
+        "Enumeration": Passage("Integer", 6, c_int),
+        "Boolean": Passage("Boolean", 3, ctypes.c_uint8),
+        "String": Passage("String", -1, ctypes.c_char_p),
+    },
     2: {
         "Real": Passage("Real", 0, c_double),
         "Integer": Passage("Integer", 6, c_int),
@@ -74,7 +81,7 @@ class _Log(ctypes.Structure):
 
 
 class _Conversion(ctypes.Structure):
-    _fields_ = (("index", c_size_t), ("factor", c_double), ("offset", c_double))
+    _fields_ = (("position", c_size_t), ("factor", c_double), ("offset", c_double))
 
 
 class _Block(ctypes.Structure):
@@ -84,13 +91,12 @@ class _Block(ctypes.Structure):
         ("n_references", c_size_t),
         ("n_values", c_size_t),
         ("first", c_size_t),
-        ("straight", c_int),
-        ("type", c_int),
-        ("positions", c_void_p),
-        ("conversions", c_void_p),
-        ("n_conversions", c_size_t),
-        ("scratch", c_void_p),
         ("buffer", c_void_p),
+        ("scratch", c_void_p),
+        ("conversions", c_void_p),
+        ("conversions_end", c_void_p),
+        ("positions", c_void_p),
+        ("type", c_int),
     )
 
 
@@ -116,9 +122,12 @@ class _Table(ctypes.Structure):
 
 
 @cache
-def _library() -> ctypes.CDLL:
-    library = ctypes.CDLL(str(compile_shared(files("fmus").joinpath("adapter.c").read_text(encoding="utf-8"))))
-    for version in (2, 3):
+def stepping_library() -> ctypes.CDLL:
+    """What steps FMUs, in one unit: adapter.c, and what goes with it for FMI 1 and for Model Exchange."""
+    sources = ("adapter.c", "fmi1.c", "exchange.c")
+    unit = "\n".join(files("fmus").joinpath(source).read_text(encoding="utf-8") for source in sources)
+    library = ctypes.CDLL(str(compile_shared(unit)))
+    for version in (1, 2, 3):
         step, write, read = (getattr(library, f"fmi{version}_{name}") for name in ("step", "write", "read"))
         step.argtypes = (c_void_p, c_double, c_double, c_void_p, c_void_p)
         write.argtypes = read.argtypes = (c_void_p, c_void_p)
@@ -131,8 +140,8 @@ def address(function: Any) -> int:
 
 
 def callback(name: str) -> int:
-    """The address of one of adapter.c's callbacks for FMUs: fmi2_log, fmi3_log, fmi2_allocate, fmi2_free."""
-    return address(getattr(_library(), name))
+    """The address of a callback for FMUs: fmi1_log, fmi2_log, fmi3_log, fmi2_allocate, fmi2_free."""
+    return address(getattr(stepping_library(), name))
 
 
 class Adapter:
@@ -141,20 +150,21 @@ class Adapter:
     `function` gives the address of a function of the FMU's library by its name without the prefix, like `DoStep`.
     """
 
-    def __init__(self, version: int, function: Callable[[str], int]) -> None:
+    def __init__(self, version: int, function: Callable[[str], int], kind: str = "cs") -> None:
         self._version, self._function = version, function
         self._log = _Log()
-        self._table = _Table(log=ctypes.pointer(self._log), do_step=function("DoStep"), failed=ERROR)
-        if version == 2:
-            self._table.real_status, self._table.boolean_status = (
-                function("GetRealStatus"),
-                function("GetBooleanStatus"),
-            )
+        self._table = _Table(log=ctypes.pointer(self._log), failed=ERROR)
+        if kind == "cs":
+            self._table.do_step = function("DoStep")
+        if kind == "cs" and version < 3:
+            self._table.real_status = function("GetRealStatus")
+        if kind == "cs" and version == 2:
+            self._table.boolean_status = function("GetBooleanStatus")
         self._memory: dict[str, list[Any]] = {}
         self.self = addressof(self._table)
-        self.step = getattr(_library(), f"fmi{version}_step")
-        self.write = getattr(_library(), f"fmi{version}_write")
-        self.read = getattr(_library(), f"fmi{version}_read")
+        self.step = getattr(stepping_library(), f"fmi{version}_step")
+        self.write = getattr(stepping_library(), f"fmi{version}_write")
+        self.read = getattr(stepping_library(), f"fmi{version}_read")
 
     def native(self) -> Native:
         """The step and the table it works on; both addresses stay the same over all starts."""
@@ -217,31 +227,37 @@ class Adapter:
             return addressof(array)
 
         positions = [first + i for variable, first in group for i in range(variable.size)]
-        owners = [variable for variable, _ in group for _ in range(variable.size)]
-        conversions = [
-            _Conversion(i, v.quantity.factor, v.quantity.offset)
-            for i, v in enumerate(owners)
-            if v.quantity is not None and (v.quantity.factor, v.quantity.offset) != (1.0, 0.0)
-        ]
+        scales = [_scale(variable) for variable, _ in group for _ in range(variable.size)]
         n = len(positions)
+        setting, converts = access == "Set", any(scale != (1.0, 0.0) for scale in scales)
         double = passage.c_type is c_double
-        in_place = double and positions == list(range(positions[0], positions[0] + n))
-        if access == "Set" and conversions:
-            in_place = False
+        in_row = positions == list(range(positions[0], positions[0] + n))
+        in_place = double and in_row and not (setting and converts)
+        whole = setting and not in_place
+        conversions = [
+            _Conversion(p, *scale) for p, scale in zip(positions, scales, strict=True) if whole or scale != (1.0, 0.0)
+        ]
+        buffer = None if in_place else hold((passage.c_type * n)())
+        begin = hold((_Conversion * len(conversions))(*conversions))
         return _Block(
             access=self._function(access + passage.function),
             references=hold((c_uint32 * len(group))(*(variable.reference for variable, _ in group))),
             n_references=len(group),
             n_values=n,
             first=positions[0],
-            straight=in_place and not conversions,
-            type=passage.number,
+            buffer=buffer,
+            scratch=buffer if double else hold((c_double * n)()),
+            conversions=begin,
+            conversions_end=begin + len(conversions) * sizeof(_Conversion),
             positions=hold((c_size_t * n)(*positions)),
-            conversions=hold((_Conversion * len(conversions))(*conversions)),
-            n_conversions=len(conversions),
-            scratch=None if in_place else hold((c_double * n)()),
-            buffer=None if double else hold((passage.c_type * n)()),
+            type=passage.number,
         )
+
+
+def _scale(variable: Variable) -> tuple[float, float]:
+    """Factor and offset of the unit a variable is declared in: (1, 0) for SI units and for what has none."""
+    quantity = variable.quantity
+    return (1.0, 0.0) if quantity is None else (quantity.factor, quantity.offset)
 
 
 def _places(variables: Sequence[Variable]) -> list[Place]:
