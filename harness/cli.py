@@ -18,7 +18,7 @@ from harness.building import Export, build_model, build_with_python
 from harness.campaign import built_in_campaigns, describe_campaign, find_campaign, read_campaign
 from harness.campaignfile import CampaignFile
 from harness.cases import Result, execute
-from harness.doctor import examine
+from harness.doctor import examine, remove_unpacked
 from harness.progress import progress
 from harness.runfolder import plain
 
@@ -162,9 +162,13 @@ def inspect(fmu: Annotated[Path, typer.Argument(help="An FMU file.")], as_json: 
 
 
 @app.command()
-def doctor(as_json: Json = False) -> None:
+def doctor(
+    as_json: Json = False,
+    clean: Annotated[bool, typer.Option("--clean", help="Remove the unpacked FMUs from the cache first.")] = False,
+) -> None:
     """Show the compiler, versions and cache, and what is missing."""
-    findings = examine()
+    removed = {"removed": f"{remove_unpacked()} unpacked FMUs"} if clean else {}
+    findings = {**removed, **examine()}
     if as_json:
         _print_json(findings)
     else:

@@ -7,9 +7,15 @@ import platform
 from importlib.metadata import version
 from typing import Any
 
+from fmus.archive import empty_shelf
 from fmus.component import ConfigurationError
 from fmus.toolchain import cache_folder, find_compiler, find_zig, native_platform
 from harness.runfolder import VERSIONED, commit
+
+
+def remove_unpacked() -> int:
+    """Remove the unpacked FMUs from the cache and return how many there were. Raises ConfigurationError."""
+    return empty_shelf()
 
 
 def examine() -> dict[str, Any]:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import stat
+import subprocess
+import sys
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -13,6 +16,7 @@ from third_party import reference_fmu
 from fmus.archive import Limits, unpack
 from fmus.component import ConfigurationError
 from fmus.fmu import describe
+from harness.doctor import remove_unpacked
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +57,35 @@ def test_many_may_unpack_the_same_archive_at_once(tmp_path: Path, cache: Path):
     assert [folder.name for folder in (cache / "unpacked").iterdir()] == [unpacked.sha256]
 
 
+def test_many_processes_may_unpack_the_same_archive_at_once(tmp_path: Path, cache: Path):
+    path = archive(tmp_path / "a.fmu", {f"{k}.txt": bytes(1000) for k in range(200)})
+    program = f"from fmus.archive import unpack; print(len(list(unpack({str(path)!r}).folder.iterdir())))"
+    command = [sys.executable, "-c", program]
+    processes = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(6)]
+    assert [process.communicate()[0].strip() for process in processes] == ["200"] * 6
+    assert [folder.name for folder in (cache / "unpacked").iterdir()] == [unpack(path).sha256]
+
+
+def test_the_cache_is_emptied_of_unpacked_archives_and_filled_again(tmp_path: Path, cache: Path):
+    path = archive(tmp_path / "a.fmu", {"x": b"1"})
+    folder = unpack(path).folder
+    (cache / "libraries").mkdir()
+    command = [sys.executable, "-m", "harness", "doctor", "--clean"]
+    said = subprocess.run(command, capture_output=True, text=True, check=False).stdout
+    assert "1 unpacked FMUs" in said
+    assert [entry.name for entry in cache.iterdir()] == ["libraries"]
+    assert remove_unpacked() == 0
+    assert unpack(path).folder == folder and (folder / "x").read_bytes() == b"1"
+
+
+def test_what_a_killed_process_left_is_swept_away_and_what_another_is_at_is_not(tmp_path: Path, cache: Path):
+    left, busy = cache / "unpacked" / ".left-1", cache / "unpacked" / ".busy-1"
+    left.mkdir(parents=True), busy.mkdir()
+    os.utime(left, (0, 0))
+    unpack(archive(tmp_path / "a.fmu", {"x": b"1"}))
+    assert busy.is_dir() and not left.exists()
+
+
 def test_backslashes_and_dots_in_names_are_folders_as_meant(tmp_path: Path):
     folder = unpack(
         archive(tmp_path / "a.fmu", {"./binaries\\linux64\\m.so": b"1", ".\\b/./c": b"2", "d\\": b""})
@@ -78,6 +111,37 @@ def test_a_link_is_refused(tmp_path: Path):
         file.writestr(link, "/etc/passwd")
     with pytest.raises(ConfigurationError, match="is a link"):
         unpack(tmp_path / "a.fmu")
+
+
+def test_a_device_is_refused(tmp_path: Path):
+    device = zipfile.ZipInfo("device")
+    device.external_attr = (stat.S_IFCHR | 0o666) << 16
+    with zipfile.ZipFile(tmp_path / "a.fmu", "w") as file:
+        file.writestr(device, "")
+    with pytest.raises(ConfigurationError, match="neither a file nor a folder"):
+        unpack(tmp_path / "a.fmu")
+
+
+def test_an_encrypted_entry_is_refused(tmp_path: Path):
+    content = bytearray(archive(tmp_path / "a.fmu", {"x": b"1"}).read_bytes())
+    for signature, offset in ((b"PK\1\2", 8), (b"PK\3\4", 6)):
+        content[content.index(signature) + offset] |= 1
+    (tmp_path / "a.fmu").write_bytes(content)
+    with pytest.raises(ConfigurationError, match="'x', which is encrypted"):
+        unpack(tmp_path / "a.fmu")
+
+
+def test_a_method_of_packing_that_the_standards_do_not_allow_is_refused(tmp_path: Path):
+    with zipfile.ZipFile(tmp_path / "a.fmu", "w", zipfile.ZIP_LZMA) as file:
+        file.writestr("x", bytes(1000))
+    with pytest.raises(ConfigurationError, match="not deflate"):
+        unpack(tmp_path / "a.fmu")
+
+
+def test_a_name_too_long_for_a_file_is_refused(tmp_path: Path, cache: Path):
+    with pytest.raises(ConfigurationError, match="no intact zip archive"):
+        unpack(archive(tmp_path / "a.fmu", {"x" * 5000: b""}))
+    assert not any((cache / "unpacked").iterdir())
 
 
 @pytest.mark.parametrize(
