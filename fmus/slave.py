@@ -12,6 +12,7 @@ from fmus.adapter import PASSAGES, Adapter, address, callback
 from fmus.component import DISCARD, ERROR, FATAL, OK, WARNING, ConfigurationError, StepError, Vector
 from fmus.description import FmuDescription
 from fmus.variable import Variable
+from fmus.whereabouts import doing
 
 Start = tuple[Variable, tuple[float | str, ...]]
 
@@ -32,7 +33,8 @@ class Slave:
         self.name = name
         self._description = description
         self._version = int(description.fmi_version[0])
-        self._fmu = self._load()
+        with doing("load", name):
+            self._fmu = self._load()
         self.adapter = Adapter(self._version, self._function)
         self._callbacks = self._make_callbacks()
         self._running = False
@@ -56,10 +58,12 @@ class Slave:
             raise self._error("is closed", t0, ERROR)
         if self._library in _CORRUPT:
             raise self._error("an instance of this FMU reported fatal: nothing of it may be called again", t0, FATAL)
-        self._instantiate(t0)
+        with doing("instantiate", self.name):
+            self._instantiate(t0)
         adapter.table.failed = OK
-        self._switch_messages_on(t0)
-        self._enter_initialisation(t0, starts, u)
+        with doing("initialise", self.name):
+            self._switch_messages_on(t0)
+            self._enter_initialisation(t0, starts, u)
 
     def restart(self, t0: float, starts: Iterable[Start], u: Vector, y: Vector) -> None:
         """As `start`, but of the instance there is, by its reset. Raises StepError."""
@@ -82,9 +86,10 @@ class Slave:
     def exit_initialisation(self, t0: float, y: Vector) -> None:
         """End the initialisation; the initial outputs are put into y."""
         adapter = self.adapter
-        self._call(t0, "ExitInitializationMode")
-        self._running = True
-        self._check(t0, _STAGES[2], adapter.read(adapter.self, y.ctypes.data))
+        with doing("initialise", self.name):
+            self._call(t0, "ExitInitializationMode")
+            self._running = True
+            self._check(t0, _STAGES[2], adapter.read(adapter.self, y.ctypes.data))
 
     def call(self, time: float, function: str, *arguments: Any) -> None:
         """Call a function of the standard on the instance, by its name without the prefix, like `Reset`.
@@ -112,11 +117,13 @@ class Slave:
         if not instance:
             return
         if table.failed == OK and self._running:
-            table.failed = self._status("Terminate", instance)
+            with doing("terminate", self.name):
+                table.failed = self._status("Terminate", instance)
         if table.failed == FATAL:
             _CORRUPT.add(self._library)
         else:
-            self._status("FreeInstance", instance)
+            with doing("free", self.name):
+                self._status("FreeInstance", instance)
         table.failed = ERROR
         self._running = False
 
@@ -124,7 +131,8 @@ class Slave:
         """Free the instance and let go of the library; a corrupt one stays loaded, since letting go runs its code."""
         self.free()
         if self._fmu is not None and self._library not in _CORRUPT:
-            self._fmu.freeLibrary()
+            with doing("unload", self.name):
+                self._fmu.freeLibrary()
         self._fmu = None
 
     @property
