@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +14,7 @@ from fmus.archive import unpack
 from fmus.binary import misfit
 from fmus.component import ConfigurationError, Problem
 from fmus.modelxml import checked_description
+from fmus.sources import Build, SourceSet
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
 from fmus.variable import Variable, read_variable
 
@@ -21,26 +22,51 @@ from fmus.variable import Variable, read_variable
 # or not looked for.
 Validation = Literal["strict", "warn", "off"]
 
+# In the order in which they are taken.
+_INTERFACES = ("CoSimulation", "ModelExchange", "ScheduledExecution")
+# Co-Simulation, Model Exchange, Scheduled Execution.
+FmuKind = Literal["cs", "me", "se"]
+
+
+@dataclass(frozen=True)
+class Interface:
+    """One kind in which an FMU may be run: the library that has it, how it is built, and what stands in its way."""
+
+    identifier: str
+    platforms: tuple[str, ...]
+    library: Path | None
+    build: Build | None
+    capabilities: Mapping[str, bool | int | float | str]
+    reasons: tuple[str, ...]
+    cautions: tuple[str, ...]
+
 
 @dataclass(frozen=True)
 class FmuDescription:
     """An FMU unpacked and read, not yet run.
 
-    `kinds` are of `cs`, `me`, `se`. `dependencies` gives for an output the variables it depends on algebraically, and
+    `kinds` are those it offers; it is run as `kind`, Co-Simulation where it offers that, and `run_as` gives another.
+    The library, the capabilities and what stands in the way are those of that kind. A library that is None is built
+    from sources where there is a `build`. `states` and `indicators` count Model Exchange's. `dependencies` gives for an output the variables it depends on algebraically, and
     lacks an output whose dependencies are undeclared. `reasons` stand in the way of running it here, `cautions` do not:
     rules of the standard it breaks, and what it asks for that is not looked after.
     """
 
     fmi_version: str
-    kinds: tuple[str, ...]
+    kinds: tuple[FmuKind, ...]
+    kind: FmuKind
     model_name: str
     tool: str
     token: str = field(repr=False)
     model_identifier: str
     platforms: tuple[str, ...]
     library: Path | None
+    build: Build | None = field(repr=False)
     folder: Path
     sha256: str
+    interfaces: Mapping[FmuKind, Interface] = field(repr=False)
+    states: int
+    indicators: int
     variables: tuple[Variable, ...] = field(repr=False)
     dependencies: Mapping[str, frozenset[str]] = field(repr=False)
     capabilities: Mapping[str, bool | int | float | str] = field(repr=False)
@@ -52,6 +78,32 @@ class FmuDescription:
     def runnable(self) -> bool:
         """True when nothing known stands in the way of running it here."""
         return not self.reasons
+
+    @property
+    def event_mode(self) -> bool:
+        """True where Co-Simulation is to hand over at events: it can, and has clocks that only tick there."""
+        return self.kind == "cs" and bool(self.capabilities.get("hasEventMode")) and self._has_clocks()
+
+    def run_as(self, kind: FmuKind) -> FmuDescription:
+        """The description of the same FMU run in that kind. Raises ConfigurationError: it does not offer it."""
+        if kind not in self.interfaces:
+            raise ConfigurationError(f"it offers {' and '.join(self.kinds)}, not {kind}")
+        chosen = self.interfaces[kind]
+        general = [text for text in self.cautions if text not in self.interfaces[self.kind].cautions]
+        return replace(
+            self,
+            kind=kind,
+            model_identifier=chosen.identifier,
+            platforms=chosen.platforms,
+            library=chosen.library,
+            build=chosen.build,
+            capabilities=chosen.capabilities,
+            reasons=chosen.reasons,
+            cautions=(*general, *chosen.cautions),
+        )
+
+    def _has_clocks(self) -> bool:
+        return any(variable.type == "Clock" for variable in self.variables)
 
     def to_json(self) -> dict[str, Any]:
         """The description as `crankbench inspect --json` prints it."""
@@ -91,36 +143,63 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
     relative = _relative_quantities(folder)
     units = {unit.name: unit.baseUnit for unit in read.unitDefinitions}
     variables = tuple(read_variable(v, units, v.name in relative) for v in read.modelVariables)
-    interface = read.coSimulation or read.modelExchange or read.scheduledExecution
-    if interface is None:
-        raise ConfigurationError("the model description names neither Co-Simulation nor Model Exchange")
-    identifier = interface.modelIdentifier or ""
     version = int(read.fmiVersion.split(".")[0])
-    kinds = [("cs", read.coSimulation), ("me", read.modelExchange), ("se", read.scheduledExecution)]
-    library = _library(folder, identifier, version)
-    platforms = _platforms(folder, identifier)
-    capabilities = _capabilities(interface)
+    offered: dict[FmuKind, Any] = {
+        kind: interface
+        for kind, interface in (("cs", read.coSimulation), ("me", read.modelExchange), ("se", read.scheduledExecution))
+        if interface is not None
+    }
+    if not offered:
+        raise ConfigurationError("the model description names neither Co-Simulation nor Model Exchange")
+    if version == 1:
+        capabilities = _capabilities_of_fmi1(folder)
+    builds = {build.identifier: build for build in _builds(read)}
+    interfaces: dict[FmuKind, Interface] = {}
+    for kind, interface in offered.items():
+        identifier = interface.modelIdentifier or ""
+        library, platforms = _library(folder, identifier, version), _platforms(folder, identifier)
+        if version > 1:
+            capabilities = _capabilities(interface)
+    if version == 3:
+        capabilities["providesDirectionalDerivative"] = _gives_derivatives(folder)
+        build = builds.get(identifier)
+        interfaces[kind] = Interface(
+            identifier,
+            platforms,
+            library,
+            build,
+            capabilities,
+            _reasons(kind, library, platforms, build, folder),
+            tuple(_cautions(kind, capabilities, variables)),
+        )
+    kind = next((kind for kind in ("cs", "me") if kind in interfaces), "se")
+    chosen = interfaces[kind]
     return FmuDescription(
         fmi_version=read.fmiVersion,
-        kinds=tuple(name for name, present in kinds if present is not None),
+        kinds=tuple(interfaces),
+        kind=kind,
         model_name=read.modelName or "",
         tool=read.generationTool or "",
         token=read.guid or "",
-        model_identifier=identifier,
-        platforms=platforms,
-        library=library,
+        model_identifier=chosen.identifier,
+        platforms=chosen.platforms,
+        library=chosen.library,
+        build=chosen.build,
         folder=folder,
         sha256=sha256,
+        interfaces=interfaces,
+        states=read.numberOfContinuousStates,
+        indicators=read.numberOfEventIndicators,
         variables=variables,
         dependencies={
             unknown.variable.name: frozenset(v.name for v in unknown.dependencies)
             for unknown in read.outputs
             if unknown.dependencies is not None
         },
-        capabilities=capabilities,
+        capabilities=chosen.capabilities,
         log_categories=tuple(category.name for category in read.logCategories),
-        reasons=_reasons(version, read.coSimulation is not None, library, platforms),
-        cautions=(*broken, *_cautions(capabilities, variables)),
+        reasons=chosen.reasons,
+        cautions=(*broken, *chosen.cautions),
     )
 
 
@@ -196,25 +275,75 @@ def _capabilities(interface: Any) -> dict[str, bool | int | float | str]:
     return {name: value for name in names if (value := getattr(interface, name)) is not None}
 
 
-def _reasons(version: int, cosimulation: bool, library: Path | None, platforms: tuple[str, ...]) -> tuple[str, ...]:
+def _capabilities_of_fmi1(folder: Path) -> dict[str, bool | int | float | str]:
+    """What a Co-Simulation FMU of FMI 1 says it can; FMPy does not read this."""
+    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+    implementation = root.find("Implementation")
+    found: dict[str, bool | int | float | str] = {}
+    for element in () if implementation is None else implementation.iter("Capabilities"):
+        for name, text in element.items():
+            found[name] = text in ("true", "1") if name.startswith("can") else text
+    if implementation is not None:
+        found["needsExecutionTool"] = implementation.find("CoSimulation_Tool") is not None
+    return found
+
+
+def _builds(read: Any) -> list[Build]:
+    """What FMPy read of how the FMU is built from sources."""
+    return [
+        Build(
+            configuration.modelIdentifier or "",
+            tuple(
+                SourceSet(
+                    tuple(part.sourceFiles),
+                    tuple((d.name, d.value or "") for d in part.preprocessorDefinitions if not d.optional),
+                    tuple(part.includeDirectories),
+                    part.language or "",
+                )
+                for part in configuration.sourceFileSets
+            ),
+        )
+        for configuration in read.buildConfigurations or ()
+    ]
+
+
+def _gives_derivatives(folder: Path) -> bool:
+    """Whether an FMI 3 FMU says it gives directional derivatives: FMPy looks for the attribute of FMI 2."""
+    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
+    interface = next((found for kind in _INTERFACES if (found := root.find(kind)) is not None), None)
+    return interface is not None and interface.get("providesDirectionalDerivatives") in ("true", "1")
+
+
+def _reasons(
+    kind: FmuKind, library: Path | None, platforms: tuple[str, ...], build: Build | None, folder: Path
+) -> tuple[str, ...]:
     reasons = []
-    if version not in (2, 3):
-        reasons.append(f"it is of FMI {version}.0; 2.0 and 3.0 are run")
-    if not cosimulation:
-        reasons.append("it offers no Co-Simulation, the only kind that is run")
+    if kind == "se":
+        reasons.append("it offers Scheduled Execution alone, which is not run")
     if library is None:
-        reasons.append(f"it has no binary for {native_platform()}; it has {', '.join(platforms) or 'none'}")
+        refusal = None if build is None else build.refusal(folder)
+        if refusal != "":
+            found = ", ".join(platforms) or "none"
+            reasons.append(f"it has no binary for {native_platform()}; it has {found}")
+        if refusal:
+            reasons.append(refusal)
     elif wrong := misfit(library, native_platform()):
         reasons.append(wrong)
+    elif missing := missing_libraries(library, folder):
+        reasons.append(f"its binary wants {', '.join(missing)}, neither installed nor shipped in it")
+    if kind == "me" and (lacking := solver_missing()):
+        reasons.append(lacking)
     return tuple(reasons)
 
 
-def _cautions(capabilities: Mapping[str, Any], variables: tuple[Variable, ...]) -> list[str]:
+def _cautions(kind: FmuKind, capabilities: Mapping[str, Any], variables: tuple[Variable, ...]) -> list[str]:
     cautions = []
     if capabilities.get("needsExecutionTool"):
         cautions.append("it says it needs the tool it was made with to run")
-    if not capabilities.get("canHandleVariableCommunicationStepSize", True):
-        cautions.append("it says every step must have the same length")
+    if kind == "cs" and not capabilities.get("canHandleVariableCommunicationStepSize", True):
+        grid = capabilities.get("fixedInternalStepSize")
+        steps = f", a multiple of {grid} s" if grid else ""
+        cautions.append(f"it says every step must have the same length{steps}: it runs on its fixed grid")
     if capabilities.get("canBeInstantiatedOnlyOncePerProcess"):
         cautions.append("it says it can stand only once in a process")
     off_bus = [v.name for v in variables if v.causality in ("input", "output") and not v.on_bus and not v.alias]
