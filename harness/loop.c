@@ -24,6 +24,9 @@ static double seconds(void)
 }
 #endif
 
+/* What an instant seldom does lies apart, so that what it always does fits the processor's caches of decoded code. */
+#define SELDOM __attribute__((cold, noinline))
+
 /* One instant in so many is timed: a prime, so that parts of every period have their share. */
 enum { TIMED = 251, KEPT = 256 };
 
@@ -81,7 +84,7 @@ EXPORT int crankbench_python_step(void *self, double t, double h, const double *
 }
 
 /* Says of the first of the parts stepped so far that has an output that is not finite; OK where all are. */
-static int diverged(const Loop *loop, int64_t stepped, int64_t k, Stop *stop)
+static SELDOM int diverged(const Loop *loop, int64_t stepped, int64_t k, Stop *stop)
 {
     for (int64_t i = 0; i < stepped; i++) {
         const Part *part = &loop->parts[i];
@@ -96,6 +99,35 @@ static int diverged(const Loop *loop, int64_t stepped, int64_t k, Stop *stop)
     return OK;
 }
 
+/* A step of a part, timed. */
+static SELDOM int timed_step(Part *part, double t, double h)
+{
+    const double begin = seconds();
+    const int status = part->step(part->self, t, h, part->u, part->y);
+    part->took[part->timed++ % KEPT] = seconds() - begin;
+    return status;
+}
+
+/* The sum of some numbers: it is not finite where one of them is not, or where it overflows itself. */
+static inline double sum(const double *values, int64_t count)
+{
+    double total = 0.0;
+    for (int64_t j = 0; j < count; j++) total += values[j];
+    return total;
+}
+
+/* Copies numbers and returns their sum. */
+static inline double copied(double *to, const double *values, int64_t count)
+{
+    double total = 0.0;
+    for (int64_t j = 0; j < count; j++) {
+        const double value = values[j];
+        to[j] = value;
+        total += value;
+    }
+    return total;
+}
+
 /* Steps from instant `from` to instant `to`, t_k = t0 + k h, and writes rows from+1 ... to, each of `columns` doubles.
  * Returns OK; or the status above WARNING, or DIVERGED, that stopped it: then `stop` says where, and the row of that
  * instant is not written. Outputs are looked at once an instant: a part that fails on what another left is no culprit. */
@@ -104,41 +136,41 @@ EXPORT int crankbench_advance(const Loop *loop, int64_t from, int64_t to, double
     const double t0 = loop->t0, h = loop->h;
     const double *bus = loop->bus;
     const int64_t *recorded = loop->recorded;
-    const int64_t columns = loop->columns, count = loop->count, size = loop->size;
+    const int64_t columns = loop->columns, size = loop->size;
+    Part *const parts = loop->parts, *const end = parts + loop->count;
+    int64_t timed = from + TIMED - from % TIMED; /* the next instant to time */
 
     for (int64_t k = from + 1; k <= to; k++) {
-        const int timed = k % TIMED == 0;
-        for (int64_t i = 0; i < count; i++) {
-            Part *part = &loop->parts[i];
-            const int64_t n = part->period;
-            if (n != 1 && k % n != 0) continue;
+        const double t = t0 + (double)(k - 1) * h;
+        for (Part *part = parts; part < end; part++) {
+            double begin = t, length = h;
+            if (part->period != 1) {
+                if (k % part->period != 0) continue;
+                begin = t0 + (double)(k - part->period) * h;
+                length = (double)part->period * h;
+            }
             for (int64_t j = 0; j < part->gathers; j++) part->gathered[j] = bus[part->inputs[j]];
-            const double begin = timed ? seconds() : 0.0;
-            const int status = part->step(part->self, t0 + (double)(k - n) * h, (double)n * h, part->u, part->y);
-            if (timed) part->took[part->timed++ % KEPT] = seconds() - begin;
+            const int status = k == timed ? timed_step(part, begin, length)
+                                          : part->step(part->self, begin, length, part->u, part->y);
             if (status == OK) continue;
             if (status != WARNING) {
-                if (diverged(loop, i, k, stop)) return DIVERGED;
-                stop->part = i;
+                if (diverged(loop, part - parts, k, stop)) return DIVERGED;
+                stop->part = part - parts;
                 stop->output = -1;
                 stop->k = k;
                 return status;
             }
             part->warnings++;
         }
-        /* The difference of a number with itself is zero, of an infinity or no number it is none. */
-        double check = 0.0;
+        if (k == timed) timed += TIMED;
+        double check;
         if (recorded) {
-            for (int64_t j = 0; j < size; j++) check += bus[j] - bus[j];
+            check = sum(bus, size);
             for (int64_t j = 0; j < columns; j++) rows[j] = bus[recorded[j]];
         } else {
-            for (int64_t j = 0; j < size; j++) {
-                const double value = bus[j];
-                rows[j] = value;
-                check += value - value;
-            }
+            check = copied(rows, bus, size);
         }
-        if (check != 0.0 && diverged(loop, count, k, stop)) return DIVERGED;
+        if (!isfinite(check) && diverged(loop, loop->count, k, stop)) return DIVERGED;
         rows += columns;
     }
     return OK;

@@ -327,6 +327,13 @@ def test_an_output_that_is_not_finite_ends_the_run_as_diverged(what: str) -> Non
     assert len(record.time) == len(record.values) == 5 and np.all(np.isfinite(record.values))
 
 
+@pytest.mark.parametrize("rest", [{}, {"record": ["one.value"]}])
+def test_finite_outputs_whose_sum_overflows_are_fine(rest: dict[str, Any]) -> None:
+    huge = {"use": "source", "unit": "1", "step": {"at": "4 ms", "from": 0, "to": 1.7e308}}
+    record = run(system({"one": huge, "two": huge}, **rest))
+    assert (record.outcome, len(record.time), record["one.value"][-1]) == ("ok", 11, 1.7e308)
+
+
 def test_what_python_raises_ends_the_run_with_part_time_and_trace() -> None:
     record = run(system({"part": {"use": "loop_parts:clockwork", "with": {"at": "4.5 ms", "what": "raise"}}}))
     assert (record.outcome, record.part) == ("error", "part")
