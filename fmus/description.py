@@ -13,6 +13,8 @@ from xml.etree import ElementTree
 from fmus.archive import unpack
 from fmus.binary import misfit
 from fmus.component import ConfigurationError, Problem
+from fmus.exchange import solver_missing
+from fmus.library import missing_libraries
 from fmus.modelxml import checked_description
 from fmus.sources import Build, SourceSet
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
@@ -22,8 +24,7 @@ from fmus.variable import Variable, read_variable
 # or not looked for.
 Validation = Literal["strict", "warn", "off"]
 
-# In the order in which they are taken.
-_INTERFACES = ("CoSimulation", "ModelExchange", "ScheduledExecution")
+_ELEMENTS = {"cs": "CoSimulation", "me": "ModelExchange", "se": "ScheduledExecution"}
 # Co-Simulation, Model Exchange, Scheduled Execution.
 FmuKind = Literal["cs", "me", "se"]
 
@@ -47,9 +48,10 @@ class FmuDescription:
 
     `kinds` are those it offers; it is run as `kind`, Co-Simulation where it offers that, and `run_as` gives another.
     The library, the capabilities and what stands in the way are those of that kind. A library that is None is built
-    from sources where there is a `build`. `states` and `indicators` count Model Exchange's. `dependencies` gives for an output the variables it depends on algebraically, and
-    lacks an output whose dependencies are undeclared. `reasons` stand in the way of running it here, `cautions` do not:
-    rules of the standard it breaks, and what it asks for that is not looked after.
+    from sources where there is a `build`. `states` and `indicators` count Model Exchange's. `dependencies` gives for an
+    output the variables it depends on algebraically, and lacks an output whose dependencies are undeclared. `reasons`
+    stand in the way of running it here, `cautions` do not: rules of the standard it breaks, and what it asks for that
+    is not looked after.
     """
 
     fmi_version: str
@@ -102,6 +104,17 @@ class FmuDescription:
             cautions=(*general, *chosen.cautions),
         )
 
+    def restructured(self, sizes: Mapping[str, float]) -> FmuDescription:
+        """The description with arrays sized as these values of structural parameters say.
+
+        An array of another size than before has start values where the FMU gives one for all its places.
+        """
+        known = {v.name: int(v.start[0]) for v in self.variables if v.structural and v.start and not v.shape}
+        given = {name: round(value) for name, value in sizes.items() if name in known}
+        if not given:
+            return self
+        return replace(self, variables=tuple(_resized(v, {**known, **given}) for v in self.variables))
+
     def _has_clocks(self) -> bool:
         return any(variable.type == "Clock" for variable in self.variables)
 
@@ -144,11 +157,8 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
     units = {unit.name: unit.baseUnit for unit in read.unitDefinitions}
     variables = tuple(read_variable(v, units, v.name in relative) for v in read.modelVariables)
     version = int(read.fmiVersion.split(".")[0])
-    offered: dict[FmuKind, Any] = {
-        kind: interface
-        for kind, interface in (("cs", read.coSimulation), ("me", read.modelExchange), ("se", read.scheduledExecution))
-        if interface is not None
-    }
+    kinds: dict[FmuKind, Any] = {"cs": read.coSimulation, "me": read.modelExchange, "se": read.scheduledExecution}
+    offered = {kind: interface for kind, interface in kinds.items() if interface is not None}
     if not offered:
         raise ConfigurationError("the model description names neither Co-Simulation nor Model Exchange")
     if version == 1:
@@ -160,8 +170,8 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
         library, platforms = _library(folder, identifier, version), _platforms(folder, identifier)
         if version > 1:
             capabilities = _capabilities(interface)
-    if version == 3:
-        capabilities["providesDirectionalDerivative"] = _gives_derivatives(folder)
+        if version == 3:
+            capabilities["providesDirectionalDerivative"] = _gives_derivatives(folder, kind)
         build = builds.get(identifier)
         interfaces[kind] = Interface(
             identifier,
@@ -172,12 +182,12 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
             _reasons(kind, library, platforms, build, folder),
             tuple(_cautions(kind, capabilities, variables)),
         )
-    kind = next((kind for kind in ("cs", "me") if kind in interfaces), "se")
-    chosen = interfaces[kind]
+    chosen_kind = next(iter(interfaces))
+    chosen = interfaces[chosen_kind]
     return FmuDescription(
         fmi_version=read.fmiVersion,
         kinds=tuple(interfaces),
-        kind=kind,
+        kind=chosen_kind,
         model_name=read.modelName or "",
         tool=read.generationTool or "",
         token=read.guid or "",
@@ -275,6 +285,14 @@ def _capabilities(interface: Any) -> dict[str, bool | int | float | str]:
     return {name: value for name in names if (value := getattr(interface, name)) is not None}
 
 
+def _resized(variable: Variable, sizes: Mapping[str, int]) -> Variable:
+    shape = tuple(sizes[size] if isinstance(size, str) else size for size in variable.dimensions)
+    if shape == variable.shape:
+        return variable
+    start = variable.start[:1] * math.prod(shape) if len(set(variable.start)) == 1 else ()
+    return replace(variable, shape=shape, start=start)
+
+
 def _capabilities_of_fmi1(folder: Path) -> dict[str, bool | int | float | str]:
     """What a Co-Simulation FMU of FMI 1 says it can; FMPy does not read this."""
     root = ElementTree.parse(folder / "modelDescription.xml").getroot()
@@ -307,10 +325,9 @@ def _builds(read: Any) -> list[Build]:
     ]
 
 
-def _gives_derivatives(folder: Path) -> bool:
+def _gives_derivatives(folder: Path, kind: FmuKind) -> bool:
     """Whether an FMI 3 FMU says it gives directional derivatives: FMPy looks for the attribute of FMI 2."""
-    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
-    interface = next((found for kind in _INTERFACES if (found := root.find(kind)) is not None), None)
+    interface = ElementTree.parse(folder / "modelDescription.xml").getroot().find(_ELEMENTS[kind])
     return interface is not None and interface.get("providesDirectionalDerivatives") in ("true", "1")
 
 

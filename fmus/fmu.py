@@ -21,7 +21,8 @@ from fmus.component import (
     StepError,
     Vector,
 )
-from fmus.description import FmuDescription, Validation, describe
+from fmus.description import FmuDescription, FmuKind, Validation, describe
+from fmus.exchange import Stepping
 from fmus.model import unknown
 from fmus.slave import Slave
 from fmus.units import Unit, UnitError, parse_unit
@@ -35,36 +36,53 @@ _ROUNDING = 1e-9  # relative: a start value this close to a bound, or to a whole
 def load_fmu(
     path: str | Path,
     *,
-    starts: Mapping[str, float] | None = None,
+    starts: Mapping[str, float | str] | None = None,
     name: str = "",
     role: Role = "plant",
     validation: Validation = "warn",
     units: Mapping[str, str] | None = None,
+    kind: FmuKind | None = None,
+    stepping: Stepping | None = None,
 ) -> FmuComponent:
-    """The Co-Simulation FMU at `path` as a component called `name` (its model's name when empty).
+    """The FMU at `path` as a component called `name` (its model's name when empty).
 
     `starts` are values in SI units, by variable name, for parameters, for outputs and states that may be given a start
     value, and for inputs (the value held where nothing is wired); an array's scalars are named `name[1]`, `name[1,2]`.
+    Strings take text; structural parameters resize the arrays that hang on them. It is run by Co-Simulation where it
+    offers that, unless `kind` asks for Model Exchange (`me`), whose states are integrated as `stepping` says.
     `validation` is as `describe` has it; `units` are for variables that declare none, see `bind_units`.
 
     Raises ConfigurationError: the FMU cannot be run here, or a start value names no such variable, or one that cannot
     be set, or lies outside the range the FMU declares; all such problems at once.
     """
     description = bind_units(describe(path, validation), units or {}, name or "the FMU")
+    if kind is not None:
+        try:
+            description = description.run_as(kind)
+        except ConfigurationError as error:
+            raise ConfigurationError(f"{path}: {error}") from error
     if not description.runnable:
         raise ConfigurationError([Problem(f"{path}: {reason}") for reason in description.reasons])
-    return FmuComponent(description, starts or {}, name or description.model_name, role)
+    return FmuComponent(description, starts or {}, name or description.model_name, role, stepping)
 
 
 class FmuComponent:
-    """A Co-Simulation FMU in the shape of a Component.
+    """An FMU in the shape of a Component.
 
     Values on the bus are in SI units where the FMU declares a unit; where it does not, `Signal.unit` is empty and
     values pass as they are. `applied_starts` holds, after `start`, every start value that was set, in the FMU's own
     unit. Integers and booleans pass as doubles (exact up to 2^53); a number for an integer input is rounded.
     """
 
-    def __init__(self, description: FmuDescription, starts: Mapping[str, float], name: str, role: Role) -> None:
+    def __init__(
+        self,
+        description: FmuDescription,
+        starts: Mapping[str, float | str],
+        name: str,
+        role: Role = "plant",
+        stepping: Stepping | None = None,
+    ) -> None:
+        description = description.restructured({k: v for k, v in starts.items() if not isinstance(v, str)})
         self.description, self.name, self.role = description, name, role
         self.sha256, self.tool, self.fmi_version = description.sha256, description.tool, description.fmi_version
         self.applied_starts: dict[str, float | str] = {}
@@ -77,7 +95,7 @@ class FmuComponent:
             for variable in self._input_variables
             for signal in _signals(variable)
         )
-        self._slave = Slave(description, name)
+        self._slave = Slave(description, name, stepping)
         self._slave.adapter.carry(self._input_variables)
         self._u = np.zeros(len(self.inputs))
         self._u_address = self._u.ctypes.data
@@ -132,21 +150,26 @@ class FmuComponent:
         }
         return self._y.copy()
 
+    def restart(self, t0: float, u: Vector) -> Vector:
+        """As `start`, but of the instance there is, by the FMU's own reset, which `start` does not trust."""
+        self._u[:] = u
+        self._slave.restart(t0, self._starts, self._u, self._y)
+        return self._y.copy()
+
     def step(self, t: float, h: float, u: Vector) -> Vector:
         """Advance from t to t + h [s] with inputs u held: the outputs at t + h, shape (n_outputs,), SI units.
 
         The C function called is the one that `native` names. Raises StepError: a status above warning.
         """
         self._u[:] = u
-        adapter = self._slave.adapter
-        status = adapter.step(adapter.self, t, h, self._u_address, self._y_address)
+        status = self._slave.step(t, h, self._u_address, self._y_address)
         if status > WARNING:
             raise self.failure(status, t)
         return self._y.copy()
 
     def native(self) -> Native:
         """The step for C; before `start` and after `close` it returns the status ERROR."""
-        return self._slave.adapter.native()
+        return self._slave.native()
 
     def failure(self, status: int, time: float) -> StepError:
         """The error for a step from `time` [s] that ended in `status`, with the FMU's last message on it."""
@@ -225,20 +248,21 @@ def _feedthrough(
 
 
 def _plan_starts(
-    description: FmuDescription, starts: Mapping[str, float], name: str
+    description: FmuDescription, starts: Mapping[str, float | str], name: str
 ) -> tuple[dict[str, float], list[tuple[Variable, tuple[float | str, ...]]]]:
     """The start values of inputs in the unit of their signals, and those to set in the FMU, in its own units."""
     owners = {scalar: variable for variable in description.variables for scalar in variable.scalar_names()}
     problems: list[Problem] = []
-    given: dict[str, float] = {}
+    given: dict[str, float | str] = {}
     for scalar, value in starts.items():
         variable = owners.get(scalar)
         if variable is None:
             settable = [s for s, v in owners.items() if v.settable]
             problems.append(Problem(unknown(scalar, settable, f"variable of {name}")))
             continue
-        given[scalar] = (variable.quantity or Unit()).from_si(value)
-        wrong = _refusal(variable, given[scalar])
+        text = isinstance(value, str)
+        given[scalar] = value if isinstance(value, str) else (variable.quantity or Unit()).from_si(value)
+        wrong = _text_refusal(variable) if text else _refusal(variable, float(given[scalar]))
         if wrong:
             problems.append(Problem(f"{name}.{scalar} {wrong}"))
     if problems:
@@ -247,17 +271,32 @@ def _plan_starts(
     for variable in description.variables:
         bus_input = variable.causality == "input" and variable.on_bus
         names = variable.scalar_names()
-        if variable.settable and not bus_input and (variable.start or any(s in given for s in names)):
+        asked = any(scalar in given for scalar in names)
+        if variable.settable and not bus_input and (asked or (variable.start and not variable.structural)):
             values = variable.start or (0.0,) * variable.size
             plan.append((variable, tuple(given.get(s, value) for s, value in zip(names, values, strict=True))))
-    inputs = {s: _display(v)[1].to_si(given[s]) for s, v in owners.items() if s in given and v.causality == "input"}
+    inputs = {
+        scalar: _display(variable)[1].to_si(float(given[scalar]))
+        for scalar, variable in owners.items()
+        if scalar in given and variable.causality == "input" and variable.on_bus
+    }
     return inputs, plan
+
+
+def _text_refusal(variable: Variable) -> str:
+    """What is wrong with text as a start value; empty when nothing is."""
+    if variable.type != "String":
+        return f"wants a number, its type is {variable.type}"
+    if not variable.settable or variable.shape:
+        return f"cannot be set: its causality is {variable.causality}, its shape {variable.shape}"
+    return ""
 
 
 def _refusal(variable: Variable, value: float) -> str:
     """What is wrong with a start value in the variable's own unit; empty when nothing is."""
     if not variable.settable or variable.type in ("String", "Binary"):
-        return f"cannot be set: its causality is {variable.causality}, its type {variable.type}"
+        described = f"causality is {variable.causality}, its variability {variable.variability or 'not given'}"
+        return f"cannot be set: its {described}, its type {variable.type}"
     if math.isnan(value):
         return "wants a number, got NaN"
     if variable.kind != "real" and (math.isinf(value) or abs(value - round(value)) > _ROUNDING * abs(value)):

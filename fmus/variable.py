@@ -21,7 +21,8 @@ class Variable:
 
     `unit` is the name the FMU gives, `quantity` what it means: None where the FMU declares none that is known.
     `minimum`, `maximum`, `nominal` and the `start` values, row-major, are in `unit`; `start` is empty where the FMU
-    gives none. `clocked` ones have a value only while a clock ticks; an `alias` is another name of a variable.
+    gives none. `dimensions` are the shape, with the names of structural parameters where those say it. `clocked` ones
+    have a value only while a clock ticks; an `alias` is another name of a variable.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Variable:
     maximum: float = math.inf
     nominal: float = 1.0
     shape: tuple[int, ...] = ()
+    dimensions: tuple[int | str, ...] = ()
     clocked: bool = False
     alias: bool = False
 
@@ -59,11 +61,16 @@ class Variable:
     @property
     def settable(self) -> bool:
         """True when its start value may be set before initialisation."""
-        if self.causality in ("structuralParameter", "independent") or self.variability == "constant":
+        if self.causality == "independent" or self.variability == "constant":
             return False
         if self.clocked or self.alias or self.type in ("Binary", "Clock"):
             return False
-        return self.causality in ("parameter", "input") or self.initial in ("exact", "approx")
+        return self.causality in ("parameter", "structuralParameter", "input") or self.initial in ("exact", "approx")
+
+    @property
+    def structural(self) -> bool:
+        """True for what sizes of arrays hang on; it is set before all others."""
+        return self.causality == "structuralParameter"
 
     def scalar_names(self) -> list[str]:
         """Names of the scalars, row-major, indices from 1."""
@@ -79,6 +86,8 @@ class Variable:
 def read_variable(v: Any, units: Mapping[str, Any], relative: bool) -> Variable:
     """The variable FMPy read as `v`, with FMPy's base units by name; a `relative` one is a difference.
 
+    Of FMI 1, which has no `initial`, a start value may be set wherever one is given.
+
     Raises ConfigurationError: it has another number of start values than its shape has places.
     """
     declared = v.declaredType
@@ -91,7 +100,7 @@ def read_variable(v: Any, units: Mapping[str, Any], relative: bool) -> Variable:
         type=v.type,
         causality=v.causality or "local",
         variability=v.variability or "",
-        initial=v.initial or "",
+        initial=v.initial or ("exact" if v.start is not None and v.causality != "input" else ""),
         description=v.description or "",
         unit=unit,
         quantity=quantity,
@@ -100,6 +109,7 @@ def read_variable(v: Any, units: Mapping[str, Any], relative: bool) -> Variable:
         maximum=_bound(v, "max", math.inf),
         nominal=_bound(v, "nominal", 1.0),
         shape=tuple(v.shape or ()),
+        dimensions=tuple(d.start if d.start is not None else d.variable.name for d in v.dimensions),
         clocked=bool(v.clocks),
         alias=v.alias is not None,
     )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import re
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -304,19 +302,6 @@ def test_a_missing_binary_is_a_reason_and_a_refusal():
     assert description.reasons[0].startswith(f"it has no binary for {native_platform()}; it has ")
     with pytest.raises(ConfigurationError, match="no binary"):
         load_fmu(path)
-
-
-def test_an_fmu_without_co_simulation_is_told_apart(tmp_path: Path):
-    path = tmp_path / "me.fmu"
-    with zipfile.ZipFile(reference_fmu("Dahlquist")) as source, zipfile.ZipFile(path, "w") as target:
-        for name in source.namelist():
-            content = source.read(name)
-            if name == "modelDescription.xml":
-                content = re.sub(b"<CoSimulation.*</CoSimulation>", b"", content, flags=re.DOTALL)
-            target.writestr(name, content)
-    description = describe(path)
-    assert description.kinds == ("me",)
-    assert description.reasons == ("it offers no Co-Simulation, the only kind that is run",)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
