@@ -74,6 +74,7 @@ typedef struct {
     Function real_status, boolean_status; /* FMI 2's */
     int terminated; /* after a discard: the FMU asked to end the simulation */
     double last_successful_time;
+    const Block *wired, *wired_end; /* `inputs` for steps that are given the whole bus as u */
 } Slave;
 
 typedef int (*Access2)(void *, const uint32_t *, size_t, void *);
@@ -338,12 +339,13 @@ static inline int do_step3(Slave *slave, double t, double h)
     return ended(slave, fine(status) ? DISCARD : status, STEPPING);
 }
 
-static inline int advance(int version, Slave *slave, double t, double h, const double *u, double *y)
+static inline int advance(int version, Slave *slave, const Block *inputs, const Block *end, double t, double h,
+                          const double *u, double *y)
 {
     if (slave->failed)
         return slave->failed;
     slave->time = t;
-    int written = write_blocks(version, slave, slave->inputs, slave->inputs_end, u);
+    int written = write_blocks(version, slave, inputs, end, u);
     if (written > WARNING)
         return written;
     int stepped = version == 2 ? do_step2(slave, t, h) : do_step3(slave, t, h);
@@ -352,14 +354,28 @@ static inline int advance(int version, Slave *slave, double t, double h, const d
     return written | stepped | read_blocks(version, slave, y);
 }
 
-EXPORT int fmi2_step(void *slave, double t, double h, const double *u, double *y)
+EXPORT int fmi2_step(void *self, double t, double h, const double *u, double *y)
 {
-    return advance(2, slave, t, h, u, y);
+    Slave *slave = self;
+    return advance(2, slave, slave->inputs, slave->inputs_end, t, h, u, y);
 }
 
-EXPORT int fmi3_step(void *slave, double t, double h, const double *u, double *y)
+EXPORT int fmi2_step_wired(void *self, double t, double h, const double *bus, double *y)
 {
-    return advance(3, slave, t, h, u, y);
+    Slave *slave = self;
+    return advance(2, slave, slave->wired, slave->wired_end, t, h, bus, y);
+}
+
+EXPORT int fmi3_step(void *self, double t, double h, const double *u, double *y)
+{
+    Slave *slave = self;
+    return advance(3, slave, slave->inputs, slave->inputs_end, t, h, u, y);
+}
+
+EXPORT int fmi3_step_wired(void *self, double t, double h, const double *bus, double *y)
+{
+    Slave *slave = self;
+    return advance(3, slave, slave->wired, slave->wired_end, t, h, bus, y);
 }
 
 /* While initialising: set all inputs, also those that steps hold. */

@@ -118,6 +118,8 @@ class _Table(ctypes.Structure):
         ("boolean_status", c_void_p),
         ("terminated", c_int),
         ("last_successful_time", c_double),
+        ("wired", c_void_p),
+        ("wired_end", c_void_p),
     )
 
 
@@ -144,6 +146,12 @@ def callback(name: str) -> int:
     return address(getattr(stepping_library(), name))
 
 
+class FmuNative(Native):
+    """The step of an FMU; `reading(places)` is the same step where u is all of a bus, inputs at these places."""
+
+    reading: Callable[[Sequence[int]], Native]
+
+
 class Adapter:
     """The C side of one FMU: what a step touches, where its instance stands, and what the FMU said.
 
@@ -161,6 +169,8 @@ class Adapter:
         if kind == "cs" and version == 2:
             self._table.boolean_status = function("GetBooleanStatus")
         self._memory: dict[str, list[Any]] = {}
+        self._carried: list[Place] = []
+        self._readable = kind == "cs" and version > 1
         self.self = addressof(self._table)
         self.step = getattr(stepping_library(), f"fmi{version}_step")
         self.write = getattr(stepping_library(), f"fmi{version}_write")
@@ -168,7 +178,16 @@ class Adapter:
 
     def native(self) -> Native:
         """The step and the table it works on; both addresses stay the same over all starts."""
-        return Native(address(self.step), self.self)
+        if not self._readable:
+            return Native(address(self.step), self.self)
+        native = FmuNative(address(self.step), self.self)
+        native.reading = self._reading
+        return native
+
+    def _reading(self, places: Sequence[int]) -> Native:
+        """The step that takes its inputs from these places of a bus, in one pass without a copy before."""
+        self._enter("wired", "Set", self._carried, places)
+        return Native(address(getattr(stepping_library(), f"fmi{self._version}_step_wired")), self.self)
 
     @property
     def table(self) -> Any:
@@ -181,7 +200,8 @@ class Adapter:
         An array takes a place for each scalar.
         """
         places = _places(inputs)
-        self._enter("inputs", "Set", [place for place in places if place[0].name not in held])
+        self._carried = [place for place in places if place[0].name not in held]
+        self._enter("inputs", "Set", self._carried)
         self._enter("held", "Set", [place for place in places if place[0].name in held])
 
     def fetch(self, outputs: Sequence[Variable]) -> None:
@@ -207,13 +227,16 @@ class Adapter:
         """How many messages since the last start are not in the log."""
         return max(0, int(self._log.count) - _LOG_FIRST - _LOG_LAST)
 
-    def _enter(self, name: str, access: str, places: Sequence[Place]) -> None:
-        """One block for each way of passing among the variables, in the order in which they first come."""
+    def _enter(self, name: str, access: str, places: Sequence[Place], at: Sequence[int] = ()) -> None:
+        """One block for each way of passing among the variables, in the order in which they first come.
+
+        `at` gives the places on the bus of the scalars where those are not 0, 1, ... in order.
+        """
         groups: dict[Passage, list[Place]] = {}
         for place in places:
             groups.setdefault(PASSAGES[self._version][place[0].type], []).append(place)
         memory: list[Any] = []
-        made = [self._block(group, access, passage, memory) for passage, group in groups.items()]
+        made = [self._block(group, access, passage, memory, at) for passage, group in groups.items()]
         blocks = (_Block * len(made))(*made)
         memory.append(blocks)
         self._memory[name] = memory
@@ -221,12 +244,13 @@ class Adapter:
         setattr(self._table, name, begin)
         setattr(self._table, f"{name}_end", begin + sizeof(blocks))
 
-    def _block(self, group: list[Place], access: str, passage: Passage, memory: list[Any]) -> _Block:
+    def _block(self, group: list[Place], access: str, passage: Passage, memory: list[Any], at: Sequence[int]) -> _Block:
         def hold(array: Any) -> int:
             memory.append(array)
             return addressof(array)
 
         positions = [first + i for variable, first in group for i in range(variable.size)]
+        positions = [at[position] for position in positions] if at else positions
         scales = [_scale(variable) for variable, _ in group for _ in range(variable.size)]
         n = len(positions)
         setting, converts = access == "Set", any(scale != (1.0, 0.0) for scale in scales)

@@ -187,6 +187,9 @@ class StartedSystem:
         if native is None:
             self._callbacks[index] = _Callback(slot.component, u, y)
             native = self._callbacks[index].native()
+        reading = getattr(native, "reading", None)
+        if reading and not direct:
+            native, u, direct = reading(slot.inputs), self.bus, True
         gathers = 0 if direct else len(slot.inputs)
         return _Part(
             *native,
