@@ -13,14 +13,19 @@ from typing import Annotated, Any
 import typer
 
 from fmus.component import ConfigurationError
-from fmus.fmu import describe
+from fmus.description import Validation, describe
 from harness.building import Export, build_model, build_with_python
 from harness.campaign import built_in_campaigns, describe_campaign, find_campaign, read_campaign
 from harness.campaignfile import CampaignFile
 from harness.cases import Result, execute
+from harness.checking import Checked
+from harness.checking import check as check_fmu
 from harness.doctor import examine, remove_unpacked
+from harness.fmutext import check_lines, inspection_lines, survey_line, words
 from harness.progress import progress
 from harness.runfolder import plain
+from harness.surveying import Manner, keep, survey
+from harness.surveying import as_json as survey_json
 
 # FAILED is a case or a criterion, MISUSED usage or configuration.
 FINE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
@@ -34,6 +39,9 @@ app = typer.Typer(
 )
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Tier = Annotated[
+    Validation, typer.Option(help="Rules of the standard that it breaks: strict refuses, warn lists, off ignores them.")
+]
 
 
 def main() -> None:
@@ -142,23 +150,66 @@ def build(
 
 
 @app.command()
-def inspect(fmu: Annotated[Path, typer.Argument(help="An FMU file.")], as_json: Json = False) -> None:
+def inspect(
+    fmu: Annotated[Path, typer.Argument(help="An FMU file.")], validation: Tier = "warn", as_json: Json = False
+) -> None:
     """Show what an FMU is, its variables, units and capabilities, and what would stand in the way."""
     if not fmu.is_file():
         raise ConfigurationError(f"no FMU file '{fmu}'")
-    found = describe(fmu)
+    content = describe(fmu, validation).to_json()
     if as_json:
-        _print_json(found.to_json())
+        _print_json(content)
+    else:
+        print(*inspection_lines(content), sep="\n")
+
+
+@app.command()
+def check(
+    fmu: Annotated[Path, typer.Argument(metavar="FMU|FOLDER", help="An FMU file, or a folder to look for them in.")],
+    page: Annotated[
+        Path | None, typer.Option("--report", metavar="PAGE.html", help="Write what a folder's FMUs do as a page.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="FMUs at a time.")] = os.cpu_count() or 1,
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long a probe may take.")] = 60.0,
+    validation: Tier = "warn",
+    as_json: Json = False,
+) -> None:
+    """Put probes to an FMU, or to all in a folder: does it do what it says? Each runs in a process of its own."""
+    if fmu.is_dir():
+        _check_folder(fmu, page, Manner(jobs, seconds, validation), as_json)
         return
-    content = found.to_json()
-    for key in ("model_name", "fmi_version", "kinds", "tool", "platforms", "sha256"):
-        print(f"{key.replace('_', ' '):<12} {_words(content.get(key))}")
-    print("capabilities " + _words([f"{name}={value}" for name, value in content["capabilities"].items()]))
-    columns = ("name", "causality", "variability", "type", "unit", "start")
-    _print_table(columns, [[_words(variable.get(column)) for column in columns] for variable in content["variables"]])
-    for caution in content.get("cautions", ()):
-        print(f"caution: {caution}")
-    print("runnable" if content["runnable"] else "not runnable: " + "; ".join(content["reasons"]))
+    if page is not None:
+        raise ConfigurationError(f"--report wants a folder of FMUs, got {fmu}")
+    if not fmu.is_file():
+        raise ConfigurationError(f"no FMU file '{fmu}'")
+    checked = check_fmu(fmu, seconds, validation)
+    if as_json:
+        _print_json(checked.to_json())
+    elif checked.runnable:
+        print(*check_lines(checked), sep="\n")
+    if not checked.runnable:
+        print(*checked.reasons, sep="\n", file=sys.stderr)
+        raise typer.Exit(MISUSED)
+    raise typer.Exit(FAILED if checked.failed else FINE)
+
+
+def _check_folder(folder: Path, page: Path | None, manner: Manner, as_json: bool) -> None:
+    if page is not None and page.suffix != ".html":
+        raise ConfigurationError(f"--report wants a file that ends in .html, got {page}")
+    stream = sys.stderr if as_json else sys.stdout
+
+    def tell(checked: Checked, number: int, total: int) -> None:
+        print(survey_line(checked, number, total), file=stream, flush=True)
+
+    checked = survey(folder, manner, tell)
+    content = survey_json(folder, checked, manner)
+    if as_json:
+        _print_json(content)
+    if page is not None:
+        kept = keep(page, content)
+        pages = [entry.load()(kept, page) for entry in entry_points(group="crankbench.compatibility")]
+        print(*pages, sep="\n", file=stream)
+    raise typer.Exit(FINE if all(one.runnable and not one.failed for one in checked) else FAILED)
 
 
 @app.command()
@@ -173,7 +224,7 @@ def doctor(
         _print_json(findings)
     else:
         for name, value in findings.items():
-            print(f"{name:<12} {_words(value)}")
+            print(f"{name:<12} {words(value)}")
     if findings["problems"]:
         raise typer.Exit(MISUSED)
 
@@ -204,19 +255,5 @@ def _print_result(result: Result) -> None:
         print(f"{'pass' if verdict.passed else 'FAIL'}  {name}" + (f"  ({verdict.reason})" if verdict.reason else ""))
 
 
-def _print_table(head: tuple[str, ...], rows: list[list[str]]) -> None:
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    for row in (head, *rows):
-        print("  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip())
-
-
 def _print_json(content: Any) -> None:
     print(json.dumps(plain(content), indent=1, ensure_ascii=False))
-
-
-def _words(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{name} {_words(item)}" for name, item in value.items())
-    if isinstance(value, (list, tuple)):
-        return ", ".join(_words(item) for item in value)
-    return "" if value is None else str(value)

@@ -1,0 +1,93 @@
+"""Writes the page on what the FMUs of a folder do: one row an FMU, one cell a probe, from the JSON of a check."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from fmus.whole import write_whole
+
+TEMPLATES = Path(__file__).parent
+MARKS = {True: ("good", "pass"), False: ("bad", "fail"), None: ("none", "n.a.")}
+
+
+class SurveyError(Exception):
+    """A survey that cannot be read: which file, what was wanted, what came."""
+
+
+def write_page(survey: Path, page: Path) -> Path:
+    """The path of the page written about a survey, the JSON file that `crankbench check FOLDER --report` keeps.
+
+    Raises SurveyError: the file holds no survey.
+    """
+    content = _read(survey)
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    rows = [_row(fmu, content["probes"]) for fmu in content["fmus"]]
+    text = environment.get_template("compatibility.html.jinja").render(
+        content=content,
+        rows=rows,
+        style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
+        runnable=sum(row["runnable"] for row in rows),
+        clean=sum(row["runnable"] and not row["failed"] for row in rows),
+        failures=Counter(name for row in rows for name in row["failed"]).most_common(),
+        tools=_tools(rows),
+    )
+    write_whole(page, text)
+    return page
+
+
+def _read(survey: Path) -> Mapping[str, Any]:
+    try:
+        content = json.loads(survey.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError) as error:
+        raise SurveyError(f"{survey}: wants the JSON of a check of a folder: {error}") from error
+    if not isinstance(content, dict) or not isinstance(content.get("fmus"), list):
+        raise SurveyError(f"{survey}: wants an object with the list 'fmus'")
+    return content
+
+
+def _row(fmu: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
+    """What the table shows of an FMU; the cells in the order of the probes."""
+    found = {probe["name"]: probe for probe in fmu.get("probes", ())}
+    cells = []
+    for name in names:
+        probe = found.get(name, {"passed": None, "evidence": "not asked: it cannot be read"})
+        mark, text = MARKS[probe["passed"]]
+        cells.append({"name": name, "mark": mark, "text": text, "evidence": probe["evidence"]})
+    return {
+        "fmu": fmu["fmu"],
+        "tool": fmu.get("tool", ""),
+        "fmi_version": fmu.get("fmi_version", ""),
+        "kinds": ", ".join(fmu.get("kinds", ())),
+        "platforms": ", ".join(fmu.get("platforms", ())),
+        "runnable": bool(fmu["runnable"]),
+        "reasons": "; ".join(fmu.get("reasons", ())),
+        "cautions": fmu.get("cautions", ()),
+        "sha256": fmu.get("sha256", ""),
+        "cells": cells,
+        "failed": [cell["name"] for cell in cells if cell["mark"] == "bad"],
+        "timing": found.get("timing", {}).get("evidence", "") if fmu["runnable"] else "",
+    }
+
+
+def _tools(rows: list[dict[str, Any]]) -> list[tuple[str, int, int, int]]:
+    """By tool: FMUs, those that run, and those that pass every probe."""
+    tools: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        tools.setdefault(row["tool"] or "not said", []).append(row)
+    return [
+        (tool, len(own), sum(row["runnable"] for row in own), sum(row["runnable"] and not row["failed"] for row in own))
+        for tool, own in sorted(tools.items())
+    ]
