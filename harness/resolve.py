@@ -15,12 +15,13 @@ import numpy as np
 
 from fmus.binding import bind_units
 from fmus.component import Component, ConfigurationError, Signal
-from fmus.description import Validation, Variable, describe
+from fmus.description import Validation, describe
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model, ModelError, unknown
-from fmus.units import UnitError, parse_unit
+from fmus.units import parse_unit
 from harness.findings import Findings
+from harness.fmusettings import read_fmu_settings
 from harness.scenario import ModelPart
 from harness.settings import read_arguments, read_settings
 
@@ -64,17 +65,28 @@ def _from_file(spec: ModelPart, part: str, found: Findings, validation: Validati
         found.at("set").add("wants a model in a module: an FMU has no named sets; give the values under `with`")
         return None
     described = describe(path, validation)
+    if spec.kind is not None:
+        described = described.run_as(spec.kind)
     try:
         described = bind_units(described, spec.units, part)
     except ConfigurationError as error:
         for problem in error.problems:
             found.at("units").tell(str(problem))
         return None
-    variables = [variable for variable in described.variables if variable.settable and variable.on_bus]
-    starts = read_settings((_as_signal(variable) for variable in variables), spec.settings, found.at("with")) or {}
-    role = spec.role or "plant"
-    component = load_fmu(path, starts=starts, name=part, role=role, validation=validation, units=spec.units)
-    return Resolved(component, starts)
+    read = read_fmu_settings(described, spec.settings, found.at("with"))
+    # With wrong settings it is loaded as it comes, so that what is wrong with its wires is told too.
+    starts, stepping = ({}, None) if read is None else read[1]
+    component = load_fmu(
+        path,
+        starts=starts,
+        name=part,
+        role=spec.role or "plant",
+        validation=validation,
+        units=spec.units,
+        kind=spec.kind,
+        stepping=stepping,
+    )
+    return Resolved(component, {name: value for name, value in starts.items() if not isinstance(value, str)})
 
 
 def _is_plain(spec: ModelPart, found: Findings) -> bool:
@@ -83,17 +95,6 @@ def _is_plain(spec: ModelPart, found: Findings) -> bool:
     for key in keys:
         found.at(key).add(f"wants an .fmu: {spec.use} says this of itself")
     return not keys
-
-
-def _as_signal(variable: Variable) -> Signal:
-    """A variable of an FMU, with its unit as this project writes it."""
-    unit = "1"
-    if variable.quantity is not None:
-        try:
-            unit = variable.unit if parse_unit(variable.unit) == variable.quantity else variable.quantity.si_name()
-        except UnitError:
-            unit = variable.quantity.si_name()
-    return Signal(variable.name, unit, shape=variable.shape)
 
 
 def _from_module(spec: ModelPart, part: str, step: float, found: Findings) -> Resolved | None:
