@@ -34,7 +34,7 @@ def misfit(library: Path, platform: str) -> str:
         return f"its binary {_shown(library)} is no shared library: it begins with {head[:4].hex(' ')}"
     system, bits, machines = made
     if system == wanted[0] and wanted[1] in machines:
-        return ""
+        return f"its binary {_shown(library)} is cut short" if _elf_end(head) > library.stat().st_size else ""
     return f"its binary {_shown(library)} is {bits}-bit for {system} on {', '.join(machines)}, not for {platform}"
 
 
@@ -63,3 +63,14 @@ def _made_for(head: bytes) -> tuple[str, int, list[str]] | None:
         machines = [struct.unpack_from(">I", head, place)[0] for place in places]
         return "darwin", 64, [_MACH.get(machine, f"machine {machine}") for machine in machines]
     return None
+
+
+def _elf_end(head: bytes) -> int:
+    """How many bytes the segments of a 64-bit ELF library reach to, as far as its head tells; 0 for other files."""
+    if head[:6] != b"\x7fELF\x02\x01" or len(head) < 64:
+        return 0
+    (table,) = struct.unpack_from("<Q", head, 32)
+    size, count = struct.unpack_from("<HH", head, 54)
+    places = (table + size * index for index in range(count))
+    segments = (struct.unpack_from("<IIQQQQ", head, place) for place in places if place + 40 <= len(head))
+    return max((offset + length for _, _, offset, _, _, length in segments), default=0)

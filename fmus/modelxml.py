@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,7 @@ MOST_SCALARS = 1_000_000  # of all variables together, arrays counted by their p
 _BUILD = "sources/buildDescription.xml"
 _TOKENS = {"1": "guid", "2": "guid", "3": "instantiationToken"}
 _REFERENCES = range(1 << 32)
+_FILE_NAME = re.compile(r"[^\s./\\:][^/\\:\x00-\x1f]{0,199}")
 _MOST_TOLD = 20
 
 
@@ -49,7 +51,8 @@ def checked_description(folder: Path) -> None:
     what is no XML; a document type, and with it every entity; an unknown FMI version; no guid (FMI 3:
     instantiationToken); value references that are missing, no numbers of 32 bits, or taken twice (in FMI 3 by any two
     variables, in FMI 1 and 2 by two of one type that would be given values of their own, since aliases share one);
-    arrays of more scalars than `MOST_SCALARS`.
+    a modelIdentifier that is no file's name, so that it could lead elsewhere; arrays of more scalars than
+    `MOST_SCALARS`.
 
     Raises ConfigurationError: with all of these that were found.
     """
@@ -63,6 +66,7 @@ def checked_description(folder: Path) -> None:
     if not problems:
         problems += _reference_problems(found.variables, found.attributes["fmiVersion"])
         problems += _size_problems(found.variables)
+        problems += _identifier_problems(found.identifiers)
     if problems:
         told = problems[:_MOST_TOLD]
         more = [f"and {len(problems) - len(told)} more of these"] if len(problems) > len(told) else []
@@ -77,6 +81,7 @@ class _Reader:
         self.root = ""
         self.attributes: Mapping[str, str] = {}
         self.variables: list[_Variable] = []
+        self.identifiers: list[str] = []
         self._path: list[str] = []
         self._elements = 0
         self._parser = expat.ParserCreate()
@@ -95,10 +100,7 @@ class _Reader:
                 self._parser.ParseFile(content)
         except expat.ExpatError as error:
             raise self._refused(f"is not XML: {error}") from error
-        except (
-            LookupError,
-            ValueError,
-        ) as error:  # an encoding that Python does not know, or not a character at a time
+        except (LookupError, ValueError) as error:  # of its encoding
             raise self._refused(f"is in an encoding that cannot be read: {error}") from error
         return self
 
@@ -115,6 +117,8 @@ class _Reader:
         depth = len(self._path)
         if depth == 1:
             self.root, self.attributes = tag, attributes
+        if depth <= 2 and "modelIdentifier" in attributes:
+            self.identifiers.append(attributes["modelIdentifier"])
         elif depth == 3 and self._path[1] == "ModelVariables" and "name" in attributes:
             self.variables.append(_variable(tag, attributes, self._parser.CurrentLineNumber))
         elif depth == 4 and self._path[1] == "ModelVariables" and self.variables:
@@ -164,6 +168,12 @@ def _head_problems(root: str, attributes: Mapping[str, str]) -> Iterable[str]:
     token = _TOKENS[version[0]]
     if token not in attributes:
         yield f"has no {token}, by which the binary would know that it belongs to this description"
+
+
+def _identifier_problems(identifiers: Iterable[str]) -> Iterable[str]:
+    for identifier in dict.fromkeys(identifiers):
+        if not _FILE_NAME.fullmatch(identifier):
+            yield f"wants a modelIdentifier that can name the binary, got '{identifier[:100]}'"
 
 
 def _reference_problems(variables: Iterable[_Variable], version: str) -> Iterable[str]:
