@@ -22,6 +22,7 @@ from harness.references import name_problems, read_criteria, reference_problems
 from harness.reportsection import ReportSection
 from harness.scenario import Scenario
 from harness.validation import validate
+from harness.worker import Limits
 
 OVERRIDE = "--set "  # begins the place of what stands on the command line
 SCENARIO_KEYS = ("clock", "parts", "seed", "record", "validation")
@@ -52,7 +53,7 @@ class Campaign:
     metrics: Mapping[str, Definition]
     criteria: tuple[Criterion, ...]
     report: ReportSection
-    case_limit: float
+    limits: Limits
 
 
 def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
@@ -89,7 +90,7 @@ def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
         metrics=checked.metrics,
         criteria=tuple(criteria),
         report=checked.report,
-        case_limit=checked.limits.case.si("s"),
+        limits=checked.limits.for_worker(),
     )
 
 

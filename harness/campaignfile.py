@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+import re
+from typing import Annotated, Any, NamedTuple
 
-from pydantic import BeforeValidator, Field, WithJsonSchema
+from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from fmus.description import Validation
 from harness.definitions import Definition
 from harness.reportsection import ReportSection
 from harness.scenario import VALIDATION_MEANS, Clock, Measure, Part, Quantity, Strict
+from harness.worker import Limits as WorkerLimits
+
+MEMORY_UNITS = {"kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
 
 
 class Experiment(Strict):
@@ -21,10 +25,52 @@ class Experiment(Strict):
     vary: dict[str, Any] = Field(default_factory=dict, description="path, or paths: values")
 
 
+class Memory(NamedTuple):
+    """An amount of memory as written: a number and its unit."""
+
+    value: float
+    unit: str
+
+    @property
+    def size(self) -> float:
+        """The amount in bytes."""
+        return self.value * MEMORY_UNITS[self.unit]
+
+    def __str__(self) -> str:
+        return f"{self.value:g} {self.unit}"
+
+
+def read_memory(raw: Any) -> Memory:
+    """A Memory from `4 GiB` or `512 MB`."""
+    if isinstance(raw, Memory):
+        return raw
+    match = re.fullmatch(r"\s*([\d.]+)\s*([A-Za-z]+)\s*", raw) if isinstance(raw, str) else None
+    try:
+        found = Memory(float(match[1]), match[2]) if match else None
+    except ValueError:
+        found = None
+    if found is None or found.unit not in MEMORY_UNITS or found.value <= 0.0:
+        raise ValueError(f"wants an amount like '4 GiB', in {', '.join(MEMORY_UNITS)}, got {raw!r}")
+    return found
+
+
 class Limits(Strict):
-    """How long things may take; no part of what a case gives."""
+    """What a case may take of time and memory; no part of what a case gives."""
 
     case: Quantity = Field(Measure(10.0, "min"), description="wall time of one case")
+    step: Quantity = Field(
+        Measure(30.0, "s"), description="wall time of one step of a part, and of each of its other calls"
+    )
+    memory: Annotated[
+        Memory,
+        BeforeValidator(read_memory),
+        PlainSerializer(str),
+        WithJsonSchema({"type": "string", "description": "memory of the process of a case, like '4 GiB'"}),
+    ] = Memory(4.0, "GiB")
+
+    def for_worker(self) -> WorkerLimits:
+        """The same in seconds and bytes. Raises UnitError."""
+        return WorkerLimits(self.case.si("s"), self.step.si("s"), self.memory.size)
 
 
 def read_demand(raw: Any) -> Any:

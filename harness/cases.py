@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
-from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Literal
 
-from pebble import ProcessExpired, ProcessPool
-
-from fmus.component import ConfigurationError
+from fmus.component import Signal, Vector
+from fmus.whereabouts import doing
+from fmus.whole import write_whole
+from harness import workplace
 from harness.campaign import Campaign, Case
+from harness.crew import Crew
 from harness.criteria import Verdict, judge
 from harness.definitions import Definition, digest
-from harness.preflight import preflight
+from harness.preflight import preflight, recorded_signals
 from harness.record import COMPLETE
-from harness.run import run
+from harness.run import no_rows, run
 from harness.runfolder import (
     UNFINISHED,
     case_folder,
@@ -30,10 +27,12 @@ from harness.runfolder import (
     write_acceptance,
     write_campaign,
     write_case,
-    write_failure,
     write_metrics,
 )
+from harness.salvage import Told, keep_failure
 from harness.wiring import wire
+from harness.worker import Worker
+from harness.workplace import condition
 
 # A worker is replaced after this many cases, so that what a component leaks does not pile up.
 CASES_A_WORKER = 200
@@ -79,7 +78,21 @@ def execute(
     `tell` hears of every case as it ends. Raises ConfigurationError before anything is written; KeyboardInterrupt
     passes through with the finished cases kept.
     """
-    units = preflight(campaign).units
+    with Crew(jobs) as crew:
+        return _execute(campaign, folder, crew, tell, finished)
+
+
+def _execute(
+    campaign: Campaign, folder: Path, crew: Crew, tell: Callable[[Ended], None], finished: Literal["kept", "run again"]
+) -> Result:
+    def look(case: Case) -> list[Signal] | None:
+        (worker,) = crew.workers[:1]
+        outcome = worker.call(recorded_signals, case, limits=campaign.limits)
+        if outcome.error is not None:
+            raise outcome.error
+        return outcome.value if outcome.kind == "result" else None
+
+    units = preflight(campaign, look).units
     kept = [case for case in campaign.cases if finished == "kept" and _finished(folder, case)]
     _clear(folder, [case for case in campaign.cases if case not in kept])
     write_campaign(folder, campaign)
@@ -89,7 +102,7 @@ def execute(
             measure_again(folder, case, campaign.metrics)
         tell(Ended(case, content["outcome"], content["message"], number, len(campaign.cases), reused=True))
     try:
-        _run_all(campaign, folder, jobs, tell, [case for case in campaign.cases if case not in kept])
+        _run_all(campaign, folder, crew, tell, [case for case in campaign.cases if case not in kept])
     finally:
         write_campaign(folder, campaign)
     cases = [judged(folder, case) for case in campaign.cases]
@@ -99,54 +112,45 @@ def execute(
     return Result(folder, {case.label: case.outcome for case in cases}, verdicts)
 
 
-def run_case(case: Case, folder: Path, definitions: Mapping[str, Definition]) -> None:
-    """Wire, run and keep one case. Raises ConfigurationError."""
-    with wire(case.scenario, case.places) as system:
-        record = run(system)
-    write_case(folder, case, record, definitions)
+def run_case(case: Case, folder: Path, definitions: Mapping[str, Definition]) -> Literal["unchanged", "changed"]:
+    """Wire, run and keep one case, in a worker; what it left the process in. Raises ConfigurationError."""
+    before = condition()
+    sheet = workplace.sheet()
+    with doing("wiring"), wire(case.scenario, case.places) as system:
+        workplace.tell(Told(no_rows(system), system.grid))
+
+        def new_rows(count: int, columns: int) -> Vector:
+            workplace.tell(Told(no_rows(system), system.grid))
+            return sheet.new_rows(count, columns)
+
+        record = run(system, new_rows=new_rows)
+    after = condition()
+    with doing("writing"):
+        write_case(folder, case, record, definitions)
+    return "unchanged" if before == after and record.outcome in COMPLETE else "changed"
 
 
-def _run_all(campaign: Campaign, folder: Path, jobs: int, tell: Callable[[Ended], None], cases: Sequence[Case]) -> None:
-    if not cases:
-        return
-    pool = ProcessPool(max_workers=min(jobs, len(cases)), max_tasks=CASES_A_WORKER, context=_context())
-    before = len(campaign.cases) - len(cases)
-    try:
-        waiting: dict[Future[None], Case] = {
-            pool.schedule(run_case, args=[case, folder, campaign.metrics], timeout=campaign.case_limit): case
-            for case in cases
-        }
-        for number, future in enumerate(as_completed(waiting), start=before + 1):
-            case, error = waiting[future], future.exception()
-            if error is not None:
-                _keep_failure(folder, case, error, campaign.case_limit)
-            content = read_case(folder, case.key)
-            tell(Ended(case, content["outcome"], content["message"], number, len(campaign.cases), reused=False))
-        pool.close()
-    except BaseException:
-        pool.stop()
-        raise
-    finally:
-        pool.join()
+def _run_all(
+    campaign: Campaign, folder: Path, crew: Crew, tell: Callable[[Ended], None], cases: Sequence[Case]
+) -> None:
+    def run_one(case: Case, worker: Worker) -> None:
+        outcome = worker.call(run_case, case, folder, campaign.metrics, limits=campaign.limits, stopped=crew.stopped)
+        if outcome.kind in ("crash", "timeout") and not outcome.first:
+            # What an earlier case did to the process may be to blame: the word of a fresh one counts.
+            outcome = worker.call(
+                run_case, case, folder, campaign.metrics, limits=campaign.limits, stopped=crew.stopped
+            )
+        if outcome.kind != "result":
+            keep_failure(folder, case, outcome, worker)
+        if outcome.output:
+            write_whole(case_folder(folder, case.key) / "output.txt", outcome.output)
+        if outcome.value != "unchanged" or worker.calls >= CASES_A_WORKER:
+            worker.close()
 
-
-def _keep_failure(folder: Path, case: Case, error: BaseException, limit: float) -> None:
-    if isinstance(error, TimeoutError):
-        write_failure(folder, case, "timeout", f"took longer than its limit of {limit:g} s and was ended")
-    elif isinstance(error, ProcessExpired):
-        write_failure(folder, case, "crash", f"its process ended with {_exit_text(error.exitcode)}")
-    elif isinstance(error, ConfigurationError):
-        write_failure(folder, case, "error", str(error))
-    else:
-        trace = {"category": "trace", "text": str(error.__cause__ or "")}
-        write_failure(folder, case, "error", f"{type(error).__name__}: {error}", [trace])
-
-
-def _exit_text(code: int | None) -> str:
-    if code is not None and code < 0:
-        known = {int(one): one.name for one in signal.Signals}
-        return f"the signal {known.get(-code, -code)}"
-    return f"exit code {code}"
+    ended = crew.each(run_one, cases)
+    for number, case in enumerate(ended, start=len(campaign.cases) - len(cases) + 1):
+        content = read_case(folder, case.key)
+        tell(Ended(case, content["outcome"], content["message"], number, len(campaign.cases), reused=False))
 
 
 def _finished(folder: Path, case: Case) -> bool:
@@ -160,15 +164,5 @@ def _clear(folder: Path, cases: Sequence[Case]) -> None:
     for name in ("acceptance.json", "metrics.csv", "report.html"):
         (folder / name).unlink(missing_ok=True)
     for case in cases:
-        (folder / "cases" / case.key / "case.json").unlink(missing_ok=True)
-
-
-def _context() -> BaseContext:
-    """Fresh processes that know nothing of the parent's threads; forked from a warm one where the platform can."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["harness.cases"])
-    return context
+        for name in ("case.json", "output.txt"):
+            (case_folder(folder, case.key) / name).unlink(missing_ok=True)

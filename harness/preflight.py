@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from fmus.component import ConfigurationError, Problem, Signal
@@ -13,6 +13,9 @@ from harness.references import place_at
 from harness.validation import nearest_hint
 from harness.wiring import wire
 
+# How many cases of an experiment are tried until one can be wired without dying of it.
+ATTEMPTS = 3
+
 
 @dataclass(frozen=True)
 class Readiness:
@@ -21,20 +24,30 @@ class Readiness:
     units: Mapping[str, str]
 
 
-def preflight(campaign: Campaign) -> Readiness:
+def recorded_signals(case: Case) -> list[Signal]:
+    """The signals that the record of a case will have. Raises ConfigurationError."""
+    with wire(case.scenario, case.places) as system:
+        return [system.bus[place] for place in system.recorded]
+
+
+def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = recorded_signals) -> Readiness:
     """Wire the first case of each experiment and check metrics, criteria and figures against its signals.
+
+    `look` wires a case and gives the signals it records, None where the case dies of that: then the next one is taken,
+    and of an experiment whose first ATTEMPTS cases all die nothing is said.
 
     Raises ConfigurationError: every problem of every experiment, each once.
     """
     problems: list[Problem] = []
     units: dict[str, str] = {}
     signals: dict[str, Mapping[str, Signal]] = {}
-    for experiment, case in first_cases(campaign).items():
+    for experiment, cases in first_cases(campaign).items():
         try:
-            with wire(case.scenario, case.places) as system:
-                recorded = [system.bus[place] for place in system.recorded]
+            recorded = next((found for found in map(look, cases) if found is not None), None)
         except ConfigurationError as error:
             problems += error.problems
+            continue
+        if recorded is None:
             continue
         signals[experiment] = {signal.name: signal for signal in recorded}
         for name, definition in campaign.metrics.items():
@@ -50,11 +63,12 @@ def preflight(campaign: Campaign) -> Readiness:
     return Readiness(units)
 
 
-def first_cases(campaign: Campaign) -> dict[str, Case]:
-    """The first case of each experiment."""
-    first: dict[str, Case] = {}
+def first_cases(campaign: Campaign) -> dict[str, list[Case]]:
+    """The first ATTEMPTS cases of each experiment."""
+    first: dict[str, list[Case]] = {}
     for case in campaign.cases:
-        first.setdefault(case.experiment, case)
+        if len(first.setdefault(case.experiment, [])) < ATTEMPTS:
+            first[case.experiment].append(case)
     return first
 
 

@@ -105,8 +105,9 @@ def reference_problems(document: Mapping[str, Any], places: Places) -> Iterator[
     limits, _ = validate(Limits, _mapping(document, "limits"), places)
     if limits is None:
         return
-    try:
-        if limits.case.si("s") <= 0:
-            yield places.problem(f"limits.case wants a time above 0 s, got {limits.case}", "limits", "case")
-    except UnitError as error:
-        yield places.problem(f"limits.case {error}", "limits", "case")
+    for name, limit in {"case": limits.case, "step": limits.step}.items():
+        try:
+            if limit.si("s") <= 0:
+                yield places.problem(f"limits.{name} wants a time above 0 s, got {limit}", "limits", name)
+        except UnitError as error:
+            yield places.problem(f"limits.{name} {error}", "limits", name)

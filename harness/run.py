@@ -36,12 +36,14 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from types import FrameType
 from typing import Any
 
 import numpy as np
 
 from fmus.component import STATUS_NAMES, Component, StepError, Vector
+from fmus.whereabouts import doing, here
 from harness.record import Record
 from harness.started import StartedSystem
 from harness.system import Slot, System
@@ -75,11 +77,16 @@ def _interrupts_kept() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def run(system: System, progress: Progress | None = None) -> Record:
+def _own_rows(count: int, columns: int) -> Vector:
+    return np.empty((count, columns))
+
+
+def run(system: System, progress: Progress | None = None, new_rows: Callable[[int, int], Vector] = _own_rows) -> Record:
     """The record of a system from its start to its stop; a failure ends it early and is its outcome.
 
     `progress(k, steps)` is called every PIECE_SECONDS or so. KeyboardInterrupt passes through, between pieces and out
-    of Python parts. The system stays open; running it again starts all parts anew.
+    of Python parts. The system stays open; running it again starts all parts anew. `new_rows(count, columns)` gives
+    the memory that rows are written to; it is asked for once all parts are initialised.
     """
     began = time.perf_counter()
     grid = system.grid
@@ -88,10 +95,11 @@ def run(system: System, progress: Progress | None = None) -> Record:
     except StepError as failure:
         wall = {"total": time.perf_counter() - began}
         return _record(system, np.empty((0, len(system.recorded))), {}, failure, wall)
-    values = np.empty((grid.steps + 1, len(system.recorded)))
+    values = new_rows(grid.steps + 1, len(system.recorded))
     values[0] = started.row()
     instant, piece = 0, 64
-    with _interrupts_kept() as interrupts:
+    here().instant = 1
+    with _interrupts_kept() as interrupts, doing("step"):
         while instant < grid.steps and started.failure is None:
             tick = time.perf_counter()
             instant = started.advance(instant, min(instant + piece, grid.steps), values[instant + 1 :])
@@ -103,6 +111,24 @@ def run(system: System, progress: Progress | None = None) -> Record:
                 progress(instant, grid.steps)
     wall = {**started.wall(instant), "total": time.perf_counter() - began}
     return _record(system, values[: instant + 1], started.warnings, started.failure, wall)
+
+
+def no_rows(system: System) -> Record:
+    """The record of a system without its rows: its signals, order and parts, and their start values as applied."""
+    return Record(
+        tuple(system.bus[place] for place in system.recorded),
+        np.empty(0),
+        np.empty((0, len(system.recorded))),
+        order=system.order,
+        held=tuple(map(str, system.held)),
+        starts={slot.name: _starts(slot, system) for slot in system.parts},
+        fmus={slot.name: _provenance(slot.component) for slot in system.parts if hasattr(slot.component, "sha256")},
+        tolerated=tuple(
+            {"part": slot.name, "category": "tolerated", "text": caution}
+            for slot in system.parts
+            for caution in getattr(getattr(slot.component, "description", None), "cautions", ())
+        ),
+    )
 
 
 def _record(
@@ -123,25 +149,16 @@ def _record(
         log.append(
             {"part": failure.part, "time": failure.time, "status": failure.status, "category": "trace", "text": trace}
         )
-    return Record(
-        tuple(system.bus[place] for place in system.recorded),
-        grid.start + np.arange(len(values), dtype=np.float64) * grid.step,
-        values,
+    return replace(
+        no_rows(system),
+        time=grid.instants(len(values)),
+        values=values,
         outcome=outcome,
         part=part,
         failed_at=math.nan if failure is None else failure.time,
         message=message,
-        order=system.order,
-        held=tuple(map(str, system.held)),
-        starts={slot.name: _starts(slot, system) for slot in system.parts},
         log=tuple(log),
         wall=wall,
-        fmus={slot.name: _provenance(slot.component) for slot in system.parts if hasattr(slot.component, "sha256")},
-        tolerated=tuple(
-            {"part": slot.name, "category": "tolerated", "text": caution}
-            for slot in system.parts
-            for caution in getattr(getattr(slot.component, "description", None), "cautions", ())
-        ),
     )
 
 

@@ -85,14 +85,22 @@ def write_case(folder: Path, case: Case, record: Record, definitions: Mapping[st
     write_json(case_folder(folder, case.key) / "case.json", content)
 
 
-def write_failure(folder: Path, case: Case, outcome: str, message: str, log: Sequence[Mapping[str, Any]] = ()) -> None:
+def write_failure(
+    folder: Path,
+    case: Case,
+    outcome: str,
+    message: str,
+    log: Sequence[Mapping[str, Any]] = (),
+    part: str = "",
+    failed_at: float = math.nan,
+) -> None:
     """Keep what is known of a case whose worker did not come back with a record."""
     (case_folder(folder, case.key) / "signals.parquet").unlink(missing_ok=True)
     content = {
         **_identity(case),
         "outcome": outcome,
-        "part": "",
-        "failed_at": None,
+        "part": part,
+        "failed_at": failed_at,
         "message": message,
         "log": list(log),
     }

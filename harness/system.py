@@ -6,7 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fmus.component import Component, Signal
+from fmus.whereabouts import doing
 from harness.order import Wire
 
 
@@ -16,6 +20,10 @@ class TimeGrid(NamedTuple):
     start: float
     step: float
     steps: int
+
+    def instants(self, count: int) -> NDArray[np.float64]:
+        """The first `count` instants [s]."""
+        return self.start + np.arange(count, dtype=np.float64) * self.step
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,8 @@ class System:
     def close(self) -> None:
         """Release what the components hold."""
         for part in self.parts:
-            part.component.close()
+            with doing("close", part.name):
+                part.component.close()
 
     def __enter__(self) -> Self:
         return self

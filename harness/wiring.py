@@ -11,6 +11,7 @@ from typing import NamedTuple
 from fmus.component import Component, ConfigurationError, Signal
 from fmus.model import unknown
 from fmus.units import UnitError, parse_unit
+from fmus.whereabouts import doing
 from harness.findings import Findings
 from harness.native import library
 from harness.order import AlgebraicLoop, Wire, held_wires, order_parts
@@ -107,7 +108,8 @@ def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], 
         here = found.at("parts", name)
         if isinstance(spec, ModelPart):
             period = _period(spec.every, grid, here.at("every"))
-            resolved = resolve(spec, name, period * grid.step, here, scenario.validation)
+            with doing("wiring", name):
+                resolved = resolve(spec, name, period * grid.step, here, scenario.validation)
             if resolved is not None:
                 built[name] = _Built(resolved.component, period, resolved.settings)
         elif isinstance(spec, SourcePart) and _known_unit(spec.unit, here.at("unit")):

@@ -14,9 +14,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import connection
 from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from fmus import whereabouts
 from fmus.whereabouts import Whereabouts
@@ -107,12 +110,8 @@ class Worker:
         *args: Any,
         limits: Limits,
         stopped: Callable[[], bool] = lambda: False,
-        salvage: Callable[[Sheet, Outcome], Any] | None = None,
     ) -> Outcome:
-        """How a call ended; InterruptedError where `stopped` became true meanwhile, and the worker is gone.
-
-        `salvage(sheet, outcome)` is called after a crash or timeout, while the worker's memory is still there.
-        """
+        """How a call ended; InterruptedError where `stopped` became true meanwhile, and the worker is gone."""
         if self._process is None or connection.wait([self._process.sentinel], 0):
             self.close()
             self._start()
@@ -147,23 +146,19 @@ class Worker:
         lost = done.kind in ("crash", "timeout")
         if lost:
             self._end()
-        self._noise.read()
-        outcome = Outcome(
-            done.kind,
-            done.value,
-            done.error,
-            done.message,
-            self._sheet.whereabouts() if lost else None,
-            told,
-            self._noise.text(),
-            watch.elapsed,
-            first,
+            self._noise.read()
+        return replace(
+            done,
+            place=self._sheet.whereabouts() if lost else None,
+            told=told,
+            output=self._noise.text(),
+            seconds=watch.elapsed,
+            first=first,
         )
-        if lost and salvage is not None:
-            salvage(self._sheet, outcome)
-        if lost:
-            self.close()
-        return outcome
+
+    def rows(self, count: int, columns: int) -> NDArray[np.float64]:
+        """The first rows of the record that the last call wrote or left behind, shape (count, columns)."""
+        return self._sheet.rows(count, columns)
 
     def close(self) -> None:
         """End the process and all it started; the next call gets a fresh one."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import faulthandler
 import fcntl
+import locale
 import os
 import resource
 import signal
@@ -112,3 +113,18 @@ def _flush() -> None:
             stream.flush()
     with suppress(AttributeError):
         ctypes.CDLL(None).fflush(None)
+
+
+def condition() -> tuple[object, ...]:
+    """What a part may have changed of this process that outlives it: folder, locale, threads and signal handlers."""
+    return (os.getcwd(), locale.setlocale(locale.LC_ALL), *_status())
+
+
+def _status() -> list[str]:
+    """The lines of the system's report on this process that speak of threads, signals and the mask of new files."""
+    try:
+        with open("/proc/self/status", encoding="ascii", errors="replace") as file:
+            lines = file.readlines()
+    except OSError:  # only Linux has it
+        return [str(threading.active_count())]
+    return [line for line in lines if line.startswith(("Threads", "SigBlk", "SigIgn", "SigCgt", "Umask"))]

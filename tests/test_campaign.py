@@ -132,7 +132,7 @@ def test_an_override_stands_above_the_file_and_its_experiments(tmp_path):
 def test_an_override_may_replace_an_axis_or_a_limit(tmp_path):
     addition = "experiments: {small: {vary: {seed: 1..20}}}\n"
     found = campaign(tmp_path, GOOD + addition, "experiments.small.vary.seed=1..2", "limits.case=3 s")
-    assert ([dict(case.values) for case in found.cases], found.case_limit) == ([{"seed": "1"}, {"seed": "2"}], 3.0)
+    assert ([dict(case.values) for case in found.cases], found.limits.seconds) == ([{"seed": "1"}, {"seed": "2"}], 3.0)
 
 
 def test_an_override_of_something_varied_says_how_to_vary_it_otherwise(tmp_path):
