@@ -20,6 +20,7 @@ from fmus.fmi3 import Fmi3
 from fmus.library import Library
 from fmus.sources import built_library
 from fmus.variable import Variable
+from fmus.whereabouts import doing
 
 Start = tuple[Variable, tuple[float | str, ...]]
 
@@ -46,7 +47,8 @@ class Slave:
         self._exchange: Exchange | None = None
         try:
             self._path = description.library or built_library(description)
-            self._library: Library | None = Library(self._path, self._prefix, description.folder)
+            with doing("load", name):
+                self._library: Library | None = Library(self._path, self._prefix, description.folder)
             self.adapter = Adapter(self._version, self._library.address, description.kind)
             if description.kind == "me":
                 self._exchange = self._make_exchange(self._library)
@@ -75,13 +77,15 @@ class Slave:
             raise self._error("is closed", t0, ERROR)
         if str(self._path) in _CORRUPT:
             raise self._error("an instance of this FMU reported fatal: nothing of it may be called again", t0, FATAL)
-        instance = self._calls.instantiate(self.name)
+        with doing("instantiate", self.name):
+            instance = self._calls.instantiate(self.name)
         if not instance:
             raise self._error(f"{self._shown}Instantiate gave nothing: {self._last_words()}", t0, ERROR)
         adapter.table.instance = instance
         adapter.table.failed = OK
-        self._switch_messages_on(t0)
-        self._enter_initialisation(t0, starts, u)
+        with doing("initialise", self.name):
+            self._switch_messages_on(t0)
+            self._enter_initialisation(t0, starts, u)
 
     def restart(self, t0: float, starts: Iterable[Start], u: Vector, y: Vector) -> None:
         """As `start`, but of the instance there is, by its reset. Raises StepError."""
@@ -94,6 +98,10 @@ class Slave:
 
     def exit_initialisation(self, t0: float, y: Vector) -> None:
         """End the initialisation; the initial outputs are put into y."""
+        with doing("initialise", self.name):
+            self._exit_initialisation(t0, y)
+
+    def _exit_initialisation(self, t0: float, y: Vector) -> None:
         adapter = self.adapter
         for function, arguments in self._calls.after_inputs(t0):
             self.call(t0, function, *arguments)
@@ -144,11 +152,13 @@ class Slave:
         if not instance:
             return
         if table.failed == OK and self._running:
-            table.failed = self._status(self._calls.terminate, instance)
+            with doing("terminate", self.name):
+                table.failed = self._status(self._calls.terminate, instance)
         if table.failed == FATAL:
             _CORRUPT.add(str(self._path))
         else:
-            self._free_instance(instance)
+            with doing("free", self.name):
+                self._free_instance(instance)
         table.failed = ERROR
         self._running = False
         self._calls.dismiss()
@@ -157,7 +167,8 @@ class Slave:
         """Free the instance and let go of the library; a corrupt one stays loaded, since letting go runs its code."""
         self.free()
         if self._library is not None and str(self._path) not in _CORRUPT:
-            self._library.release()
+            with doing("unload", self.name):
+                self._library.release()
         self._library = None
 
     def _make_exchange(self, library: Library) -> Exchange:
