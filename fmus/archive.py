@@ -121,7 +121,7 @@ def _extract(path: Path, folder: Path, limits: Limits) -> None:
             left = _allowed_bytes(path, limits)
             for entry in entries:
                 parts = _parts(path, entry)
-                if entry.is_dir() or not parts:
+                if not parts or entry.filename[-1] in "/\\":
                     folder.joinpath(*parts).mkdir(parents=True, exist_ok=True)
                 else:
                     left -= _copy(path, archive, entry, folder.joinpath(*parts), left)

@@ -88,10 +88,13 @@ def test_what_a_killed_process_left_is_swept_away_and_what_another_is_at_is_not(
 
 def test_backslashes_and_dots_in_names_are_folders_as_meant(tmp_path: Path):
     folder = unpack(
-        archive(tmp_path / "a.fmu", {"./binaries\\linux64\\m.so": b"1", ".\\b/./c": b"2", "d\\": b""})
+        archive(
+            tmp_path / "a.fmu", {"d\\": b"", "./binaries\\linux64\\m.so": b"1", ".\\b/./c": b"2", "d\\e": b"", "": b""}
+        )
     ).folder
     assert (folder / "binaries" / "linux64" / "m.so").read_bytes() == b"1"
     assert (folder / "b" / "c").read_bytes() == b"2"
+    assert (folder / "d" / "e").is_file()
 
 
 @pytest.mark.parametrize(
