@@ -37,22 +37,22 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
     return 0;
 }
 
-/* Source, plant, identity sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, y in rad/s, location, the
- * sensor's value, the observer's three estimates and its location. The source jumps from 0 to `torque` at step `jump`. */
-EXPORT int run_bare(const Fmu *plant, const Fmu *observer, int64_t steps, double h, double torque, int64_t jump,
-                    double rpm, double *rows) {
+/* Source, plant, sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, y in rad/s, location, the sensor's
+ * value, the observer's three estimates and its location. Source and sensor are the platform's own step functions. */
+EXPORT int run_bare(const Fmu *plant, const Fmu *observer, Step source, void *source_self, Step sensor,
+                    void *sensor_self, int64_t steps, double h, double rpm, double *rows) {
     for (int64_t k = 0; k < steps; k++) {
         const double t = (double)k * h;
         double *row = rows + 11 * k, measured[2];
         int location, status;
-        row[0] = k >= jump ? torque : 0.0;
-        status = plant->set_real(plant->instance, plant->inputs, 1, row);
+        status = source(source_self, t, h, NULL, row);
+        status |= plant->set_real(plant->instance, plant->inputs, 1, row);
         status |= plant->do_step(plant->instance, t, h, 1);
         status |= plant->get_real(plant->instance, plant->outputs, 4, row + 1);
         status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
         row[4] = rpm * row[4];
         row[5] = location;
-        row[6] = row[4];
+        status |= sensor(sensor_self, t, h, row + 4, row + 6);
         measured[0] = row[6] / rpm;
         measured[1] = row[0];
         status |= observer->set_real(observer->instance, observer->inputs, 2, measured);
