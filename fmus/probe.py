@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -17,7 +17,7 @@ import numpy as np
 
 from fmus.component import StepError, Vector
 from fmus.derivatives import TOLERANCE, TRANSPOSED, Questioned, compare, pairs
-from fmus.description import Validation, describe
+from fmus.description import FmuKind, Validation, describe
 from fmus.fmu import FmuComponent, load_fmu
 from fmus.state import Bookmark
 from fmus.units import parse_unit
@@ -25,6 +25,7 @@ from fmus.units import parse_unit
 STEPS = 50
 EXCITATION = 0.01  # of an input's start value, or of its nominal value where that is larger
 NO_PAIRS = "there is no continuous output or state derivative with a continuous input or state to derive it by"
+NOT_IN_FMI1 = "there is no such thing in FMI 1.0"
 HALVES_MATTER = 0.1  # of what happens in a run: half steps that change as much give another answer
 
 
@@ -37,6 +38,7 @@ class Subject:
     h: float
     steps: int = STEPS
     validation: Validation = "warn"
+    kind: FmuKind | None = None
 
 
 class Answer(NamedTuple):
@@ -54,8 +56,11 @@ class Run(NamedTuple):
     took: Vector
 
 
-def subject(path: Path, validation: Validation = "warn") -> Subject:
-    """The FMU with the step of its default experiment: its step size, else a 500th of its length, else 1 ms."""
+def subject(path: Path, validation: Validation = "warn", kind: FmuKind | None = None) -> Subject:
+    """The FMU with the step of its default experiment: its step size, else a 500th of its length, else 1 ms.
+
+    It is run in the `kind` asked for, else in the one it is run in anyway.
+    """
     description = describe(path, validation)
     found = ElementTree.parse(description.folder / "modelDescription.xml").getroot().find("DefaultExperiment")
     asked = {} if found is None else {name: float(found.get(name) or 0.0) for name in ("startTime", "stopTime")}
@@ -66,12 +71,12 @@ def subject(path: Path, validation: Validation = "warn") -> Subject:
     h = next(size for size in sizes if size > 0.0)
     # The second half of a default experiment is left alone: there are FMUs that end before its end.
     steps = STEPS if span <= 0.0 else max(4, min(STEPS, int(span / (2.0 * h))))
-    return Subject(path, t0, h, steps, validation)
+    return Subject(path, t0, h, steps, validation, kind)
 
 
 @contextmanager
 def _loaded(asked: Subject, name: str = "probed") -> Iterator[FmuComponent]:
-    component = load_fmu(asked.path, name=name, validation=asked.validation)
+    component = load_fmu(asked.path, name=name, validation=asked.validation, kind=asked.kind)
     try:
         yield component
     finally:
@@ -133,7 +138,7 @@ def pace(asked: Subject) -> Answer:
         took: list[float] = []
         k = 0
         while k < asked.steps and (k < 3 or sum(took) < 1.0):
-            run = _go_on(component, Subject(asked.path, asked.t0 + k * asked.h, asked.h, 1), first)
+            run = _go_on(component, replace(asked, t0=asked.t0 + k * asked.h, steps=1), first)
             took += run.took.tolist()
             k += 1
     step = float(np.median(took))
@@ -189,6 +194,8 @@ def instantiate_twice(asked: Subject) -> Answer:
 def reset(asked: Subject) -> Answer:
     """Does a reset instance repeat the run bit for bit?"""
     with _loaded(asked) as component:
+        if component.fmi_version.startswith("1") and component.description.kind == "me":
+            return Answer(None, "there is none for Model Exchange in FMI 1.0")
         fresh = _run(component, asked).rows
         again = _go_on(component, asked, component.restart(asked.t0, _inputs(component, 0))).rows
         return _same(component, fresh, again, asked, f"{asked.steps} steps after a reset and of a fresh instance")
@@ -197,6 +204,8 @@ def reset(asked: Subject) -> Answer:
 def rollback(asked: Subject) -> Answer:
     """Taken back to a kept state, does it make the same steps again?"""
     with _loaded(asked) as component:
+        if component.fmi_version.startswith("1"):
+            return Answer(None, NOT_IN_FMI1)
         mark = _bookmarked(component, asked)
         went = _onward(mark, asked)
         mark.restore()
@@ -208,6 +217,8 @@ def rollback(asked: Subject) -> Answer:
 def serialise(asked: Subject) -> Answer:
     """Does a state written to bytes and read back repeat the steps? `kept` are the bytes and the steps."""
     with _loaded(asked) as component:
+        if component.fmi_version.startswith("1"):
+            return Answer(None, NOT_IN_FMI1)
         mark = _bookmarked(component, asked)
         written = mark.serialised()
         went = _onward(mark, asked)
@@ -242,7 +253,7 @@ def variable_step(asked: Subject) -> Answer:
     with _loaded(asked) as component:
         fixed = component.description.capabilities.get("canHandleVariableCommunicationStepSize") is False
         head = "says every step must have the same length; " if fixed else ""
-        whole = _run(component, Subject(asked.path, asked.t0, asked.h, n)).rows
+        whole = _run(component, replace(asked, steps=n)).rows
         try:
             halves = _run(component, asked, [asked.h / 2.0] * (2 * n)).rows
             uneven = _run(component, asked, [asked.h * share for share in (0.3, 0.8, 0.4, 0.5) * (n // 2)]).rows
@@ -262,6 +273,8 @@ def variable_step(asked: Subject) -> Answer:
 def directional_derivative(asked: Subject) -> Answer:
     """Do its directional derivatives equal differences of its values, in initialisation?"""
     with _loaded(asked) as component:
+        if component.fmi_version.startswith("1"):
+            return Answer(None, NOT_IN_FMI1)
         chosen = pairs(component.description)
         if not chosen.unknowns or not chosen.knowns:
             return Answer(None, NO_PAIRS)
@@ -321,7 +334,7 @@ def _same(component: FmuComponent, first: Vector, second: Vector, asked: Subject
     different = np.argwhere(first.view(np.uint64) != second.view(np.uint64))
     k, column = different[0]
     largest = np.nanmax(np.abs(first - second) / _scale(component, first))
-    name = component.outputs[column].name
+    name = component.outputs[column].name if column < len(component.outputs) else "a state"
     told = f"{what} differ: {name} {first[k, column]:.17g} and {second[k, column]:.17g}"
     return Answer(False, f"{told}, at most {largest:.1e} of what the outputs span")
 
@@ -329,7 +342,9 @@ def _same(component: FmuComponent, first: Vector, second: Vector, asked: Subject
 def _scale(component: FmuComponent, rows: Vector) -> Vector:
     """What each output spans over a run, or a billionth of its nominal value where that is larger."""
     nominal = np.array([abs(signal.nominal * parse_unit(signal.unit).factor) for signal in component.outputs])
-    return np.maximum(np.ptp(np.nan_to_num(rows), axis=0), 1e-9 * nominal) + 1e-300
+    spans = np.ptp(np.nan_to_num(rows), axis=0)
+    spans[: len(nominal)] = np.maximum(spans[: len(nominal)], 1e-9 * nominal)
+    return spans + 1e-300
 
 
 def _short(seconds: float) -> str:

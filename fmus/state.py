@@ -28,8 +28,15 @@ class Bookmark:
         self._time = 0.0
 
     def step(self, t: float, h: float, u: Vector) -> Vector:
-        """As the component's step, except that the FMU is told that it may be taken back."""
+        """As the component's step, except that the FMU is told that it may be taken back.
+
+        A Model Exchange instance makes a step of the explicit Euler method, its events not looked after: enough to see
+        whether it goes the same way twice. Its inputs stay as they were at the start, since discrete ones may be set
+        in events only; its states follow the outputs.
+        """
         self._u[:], self._time = u, t
+        if self.component.description.kind == "me":
+            return self._integrate(t, h)
         adapter = self._slave.adapter
         self._checked(adapter.write(adapter.self, self._u.ctypes.data))
         if self._version == 3:
@@ -41,6 +48,25 @@ class Bookmark:
             self._slave.call(t, "DoStep", c_double(t), c_double(h), c_int(0))
         self._checked(adapter.read(adapter.self, self._y.ctypes.data))
         return self._y.copy()
+
+    def _integrate(self, t: float, h: float) -> Vector:
+        count = self.component.description.states
+        states, slopes = np.zeros(count), np.zeros(count)
+        size = c_size_t(count)
+        derivatives = "GetContinuousStateDerivatives" if self._version == 3 else "GetDerivatives"
+        if count:
+            self._call("GetContinuousStates", c_void_p(states.ctypes.data), size)
+            self._call(derivatives, c_void_p(slopes.ctypes.data), size)
+        states += h * slopes
+        self._call("SetTime", c_double(t + h))
+        if count:
+            self._call("SetContinuousStates", c_void_p(states.ctypes.data), size)
+        no = ctypes.c_bool(False) if self._version == 3 else c_int(0)
+        event, terminate = type(no)(), type(no)()
+        self._call("CompletedIntegratorStep", no, byref(event), byref(terminate))
+        adapter = self._slave.adapter
+        self._checked(adapter.read(adapter.self, self._y.ctypes.data))
+        return np.concatenate([self._y, states])
 
     def keep(self) -> None:
         """Keep the state of this instant, in place of the one kept before."""

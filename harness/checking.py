@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from fmus import probe
 from fmus.component import ConfigurationError
-from fmus.description import Validation, describe
+from fmus.description import FmuKind, Validation, describe
 from fmus.probe import Answer, Subject
 from harness.worker import Limits, Outcome, Worker
 
@@ -42,18 +42,23 @@ QUESTIONS = (
     Question("adjoint_derivative", probe.adjoint_derivative, "providesAdjointDerivatives"),
     Question("variable_step", probe.variable_step, "canHandleVariableCommunicationStepSize"),
 )
+KINDS: tuple[FmuKind, ...] = ("cs", "me")
 NAMES = (FIRST.name, PACE.name, *(question.name for question in QUESTIONS), "flags")
 
 
 @dataclass(frozen=True)
 class Probed:
-    """What came of a probe: `passed` is None where it does not apply; `declared` is what the FMU's flag says of it."""
+    """What came of a probe: `passed` is None where it does not apply; `declared` is what the FMU's flag says of it.
+
+    `kind` is how the FMU was run. An FMU of two kinds is asked in both; the second kind's names have it in front.
+    """
 
     name: str
     passed: bool | None
     evidence: str
     declared: bool | None = None
     observed: bool | None = None
+    kind: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,11 @@ def described(path: Path, validation: Validation) -> dict[str, Any]:
     return describe(path, validation).to_json()
 
 
+def capabilities_as(path: Path, validation: Validation, kind: FmuKind) -> tuple[Mapping[str, Any], Subject]:
+    """What an FMU declares of itself in a kind, and how it is to be stepped."""
+    return describe(path, validation).run_as(kind).capabilities, probe.subject(path, validation, kind)
+
+
 class _Check:
     """The course of one check; a probe that did not pass leaves no process for the next."""
 
@@ -107,6 +117,7 @@ class _Check:
         self._worker, self._limits, self._path, self._validation = worker, limits, path, validation
         self._stopped = stopped
         self._kept: dict[str, bytes] = {}
+        self._capabilities: Mapping[str, Any] = {}
 
     def all(self) -> Checked:
         """The whole check."""
@@ -118,16 +129,25 @@ class _Check:
         if not runnable:
             untried = tuple(Probed(name, None, "not asked: it cannot be run here") for name in NAMES)
             return Checked(str(self._path), False, reasons, untried, self._about)
-        subject: Subject = self._call(probe.subject, self._path, self._validation).value
-        found = [self._put(FIRST, subject)]
-        if found[0].passed:
-            found.append(self._put(PACE, subject))
-            subject = self._affordable(subject)
-            found += [self._put(question, subject) for question in QUESTIONS]
-            found.append(flags(found))
-        else:
-            found += [Probed(name, None, "not asked: it does not start") for name in NAMES[1:]]
+        found: list[Probed] = []
+        for kind in (kind for kind in KINDS if kind in self._about["kinds"]):
+            head = f"{kind}_" if found else ""
+            found += [replace(one, name=head + one.name, kind=kind) for one in self._run_as(kind)]
         return Checked(str(self._path), True, reasons, tuple(found), self._about)
+
+    def _run_as(self, kind: FmuKind) -> list[Probed]:
+        """Every probe in one kind."""
+        read = self._call(capabilities_as, self._path, self._validation, kind)
+        if read.kind != "result":
+            return [Probed(FIRST.name, False, _failure(read))]
+        self._capabilities, subject = read.value
+        found = [self._put(FIRST, subject)]
+        if not found[0].passed:
+            return found + [Probed(name, None, "not asked: it does not start") for name in NAMES[1:]]
+        found.append(self._put(PACE, subject))
+        subject = self._affordable(subject)
+        found += [self._put(question, subject) for question in QUESTIONS]
+        return [*found, flags(found)]
 
     def _put(self, question: Question, subject: Subject) -> Probed:
         declared = self._declared(question)
@@ -165,7 +185,7 @@ class _Check:
         return replace(subject, steps=max(FEWEST_STEPS, min(subject.steps, int(BUDGET / max(step, 1e-9)))))
 
     def _declared(self, question: Question) -> bool | None:
-        value = self._about["capabilities"].get(question.capability)
+        value = self._capabilities.get(question.capability)
         return None if not question.capability or value is None else bool(value)
 
     def _call(self, function: Callable[..., Any], *arguments: Any) -> Outcome:

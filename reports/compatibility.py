@@ -14,6 +14,7 @@ from markupsafe import Markup
 from fmus.whole import write_whole
 
 TEMPLATES = Path(__file__).parent
+KINDS = ("cs", "me")
 MARKS = {True: ("good", "pass"), False: ("bad", "fail"), None: ("none", "n.a.")}
 
 
@@ -63,9 +64,14 @@ def _row(fmu: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
     found = {probe["name"]: probe for probe in fmu.get("probes", ())}
     cells = []
     for name in names:
-        probe = found.get(name, {"passed": None, "evidence": "not asked: it cannot be read"})
-        mark, text = MARKS[probe["passed"]]
-        cells.append({"name": name, "mark": mark, "text": text, "evidence": probe["evidence"]})
+        # A second kind's probes have it in front of their names.
+        put = [probe for asked, probe in found.items() if asked in (name, *(f"{kind}_{name}" for kind in KINDS))]
+        verdicts = [probe["passed"] for probe in put]
+        worst = False if False in verdicts else True if True in verdicts else None
+        evidence = [f"{probe['kind']}: {probe['evidence']}" if len(put) > 1 else probe["evidence"] for probe in put]
+        texts = [MARKS[verdict][1] for verdict in verdicts] or [MARKS[None][1]]
+        text = texts[0] if len(set(texts)) == 1 else " / ".join(texts)
+        cells.append({"name": name, "mark": MARKS[worst][0], "text": text, "evidence": "; ".join(evidence)})
     return {
         "fmu": fmu["fmu"],
         "tool": fmu.get("tool", ""),
@@ -78,7 +84,7 @@ def _row(fmu: Mapping[str, Any], names: list[str]) -> dict[str, Any]:
         "sha256": fmu.get("sha256", ""),
         "cells": cells,
         "failed": [cell["name"] for cell in cells if cell["mark"] == "bad"],
-        "timing": found.get("timing", {}).get("evidence", "") if fmu["runnable"] else "",
+        "timing": next((cell["evidence"] for cell in cells if cell["name"] == "timing"), ""),
     }
 
 
