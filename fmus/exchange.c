@@ -322,13 +322,19 @@ static int unsolved(Exchange *e, int flag)
     return told(e, ERROR, "CVODE gave up at t = %.9g s with %d: %s", e->time, flag, e->complaint);
 }
 
+/* A difference of times that is rounding: 0.3 + 2.7 is not quite 3.0. */
+static double rounding(double a, double b)
+{
+    return 8 * 2.220446049250313e-16 * fmax(fabs(a), fabs(b));
+}
+
 /* One step of the solver towards `stop`, at most; the FMU stands at the state reached. */
 static int integrate(Exchange *e, double stop, bool *event)
 {
     const Solver *s = e->solver;
-    double rounding = 8 * 2.220446049250313e-16 * fmax(fabs(stop), fabs(e->time));
+    double negligible = rounding(stop, e->time);
     int flag = 0;
-    if (stop - e->time <= rounding) { /* too short for a solver: nothing moves */
+    if (stop - e->time <= negligible) { /* too short for a solver: nothing moves */
         e->time = stop;
         e->restart = 1;
     } else {
@@ -344,7 +350,7 @@ static int integrate(Exchange *e, double stop, bool *event)
         flag = s->solve(e->memory, stop, e->vector, &e->time, CV_ONE_STEP);
         if (flag < 0)
             return unsolved(e, flag);
-        if (stop - e->time <= rounding)
+        if (stop - e->time <= negligible)
             e->time = stop;
     }
     e->steps++;
@@ -398,7 +404,7 @@ static int advance_exchange(Exchange *e, double t, double h, const double *u, do
     }
     while (status <= WARNING && e->time < end) {
         bool event = false;
-        double stop = e->next_event_defined && e->next_event < end ? e->next_event : end;
+        double stop = e->next_event_defined && e->next_event < end + rounding(t, end) ? e->next_event : end;
         if (stop > e->time) {
             status = integrate(e, stop, &event);
             if (status <= WARNING)

@@ -33,7 +33,8 @@ _CORRUPT: set[str] = set()
 class Slave:
     """The library of an FMU and at most one instance made by it; `start` makes a fresh one.
 
-    An FMU without a library for this platform, but with sources, is built. `stepping` is how Model Exchange is.
+    An FMU without a library for this platform, but with sources, is built. `stepping` is how Model Exchange is stepped,
+    by `exchange`, which is None in Co-Simulation.
 
     Raises ConfigurationError: the library cannot be built or loaded, or lacks a function of the standard.
     """
@@ -44,14 +45,14 @@ class Slave:
         self._version = int(description.fmi_version[0])
         self._prefix = f"{description.model_identifier}_fmi" if self._version == 1 else f"fmi{self._version}"
         self._stepping = stepping or Stepping()
-        self._exchange: Exchange | None = None
+        self.exchange: Exchange | None = None
         try:
             self._path = description.library or built_library(description)
             with doing("load", name):
                 self._library: Library | None = Library(self._path, self._prefix, description.folder)
             self.adapter = Adapter(self._version, self._library.address, description.kind)
             if description.kind == "me":
-                self._exchange = self._make_exchange(self._library)
+                self.exchange = self._make_exchange(self._library)
         except ConfigurationError as error:
             raise ConfigurationError([Problem(f"{name}: {problem}") for problem in error.problems]) from error
         self._calls = _VERSIONS[self._version](description, self._library, self.adapter.self)
@@ -106,11 +107,11 @@ class Slave:
         for function, arguments in self._calls.after_inputs(t0):
             self.call(t0, function, *arguments)
         self._running = True
-        if self._exchange is None:
+        if self.exchange is None:
             self._check(t0, _STAGES[2], adapter.read(adapter.self, y.ctypes.data))
             return
         states, indicators = self._calls.sizes(adapter.table.instance)
-        status = self._exchange.start(t0, states, indicators, self._inputs, y)
+        status = self.exchange.start(t0, states, indicators, self._inputs, y)
         if status > WARNING:
             raise self.failure(status, t0)
 
@@ -124,11 +125,11 @@ class Slave:
 
     def native(self) -> Native:
         """The step for C; without a running instance it returns the status ERROR."""
-        return self.adapter.native() if self._exchange is None else self._exchange.native()
+        return self.adapter.native() if self.exchange is None else self.exchange.native()
 
     def step(self, t: float, h: float, u: int, y: int) -> int:
         """The status of the step that `native` names, with inputs and outputs at these addresses."""
-        stepped = self.adapter if self._exchange is None else self._exchange
+        stepped = self.adapter if self.exchange is None else self.exchange
         return int(stepped.step(stepped.self, t, h, u, y))
 
     def failure(self, status: int, time: float) -> StepError:
@@ -146,8 +147,8 @@ class Slave:
     def free(self) -> None:
         """End the instance as far as its status allows: after an error only free it, after a fatal not even that."""
         table = self.adapter.table
-        if self._exchange is not None:
-            self._exchange.release()
+        if self.exchange is not None:
+            self.exchange.release()
         instance, table.instance = table.instance, None
         if not instance:
             return
@@ -178,7 +179,7 @@ class Slave:
     def _enter_initialisation(self, t0: float, starts: Iterable[Start], u: Vector) -> None:
         adapter = self.adapter
         self._inputs = u
-        tolerance = None if self._exchange is None else self._stepping.tolerance
+        tolerance = None if self.exchange is None else self._stepping.tolerance
         starts = list(starts)
         sizes = [start for start in starts if start[0].structural]
         if sizes:
