@@ -12,6 +12,7 @@ from fmus.component import Component, ConfigurationError, Signal
 from fmus.model import unknown
 from fmus.units import UnitError, parse_unit
 from fmus.whereabouts import doing
+from harness.arrays import off_bus, spread
 from harness.findings import Findings
 from harness.native import library
 from harness.order import AlgebraicLoop, Wire, held_wires, order_parts
@@ -160,7 +161,9 @@ def _find_output(text: str, built: Mapping[str, _Built | None], found: Findings)
     if output in names:
         return part, output
     if output:
-        found.add(unknown(text, [f"{part}.{name}" for name in names], "signal"))
+        why = off_bus(output, source.component)
+        told = f"{text} {why}" if why else unknown(text, [f"{part}.{name}" for name in names], "signal")
+        found.add(told)
     elif len(names) == 1 or "value" in names:
         return part, names[0] if len(names) == 1 else "value"
     else:
@@ -181,16 +184,20 @@ def _wires(scenario: Scenario, built: Mapping[str, _Built | None], found: Findin
                 _find_output(text, built, here.at(input_name))
             continue
         inputs = [signal.name for signal in part.component.inputs]
+        sources = {source: one.component for source, one in built.items() if one is not None}
+        given = spread(given, part.component, sources, here)
         for input_name in given:
             if input_name not in inputs:
-                here.at(input_name).add(unknown(input_name, inputs, f"input of {name}"))
+                why = off_bus(input_name, part.component)
+                told = why or unknown(input_name, inputs, f"input of {name}")
+                here.at(input_name).add(told)
         depends = {input_name for _, input_name in part.component.feedthrough}
         for input_name in inputs:
             if input_name not in given:
                 here.tell(f"{name}.{input_name} wants a wire; write `wires: {{{input_name}: part.output}}`")
                 continue
             quiet = Findings(found.places) if isinstance(spec, SensorPart) else here.at(input_name)
-            source = _find_output(given[input_name], built, quiet)
+            source = _find_output(given[input_name], built, quiet) if given[input_name] else None
             if source is not None:
                 wires.append(Wire(*source, name, input_name, input_name in depends))
     return wires
