@@ -218,5 +218,5 @@ def _failure(outcome: Outcome) -> str:
     if outcome.kind == "error":
         return str(outcome.error) or type(outcome.error).__name__
     doing = f" while it was doing {outcome.stage}" if outcome.stage else ""
-    said = outcome.output.strip().splitlines()
+    said = outcome.output.partition("Fatal Python error:")[0].strip().splitlines()
     return f"{outcome.kind}{doing}: {outcome.message}" + (f"; it printed: {said[-1][:200]}" if said else "")
