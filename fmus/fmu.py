@@ -136,6 +136,10 @@ class FmuComponent:
         held = {variable.name for variable in self._input_variables if wanted.issuperset(variable.scalar_names())}
         self._slave.adapter.carry(self._input_variables, held)
 
+    def prove(self) -> None:
+        """Make an instance and let go of it again. Raises ConfigurationError: none came of it."""
+        self._slave.prove()
+
     def start(self, t0: float, u: Vector) -> Vector:
         """A fresh instance, initialised at t0 [s] with inputs u: the initial outputs, shape (n_outputs,), SI units.
 

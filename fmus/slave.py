@@ -78,15 +78,35 @@ class Slave:
             raise self._error("is closed", t0, ERROR)
         if str(self._path) in _CORRUPT:
             raise self._error("an instance of this FMU reported fatal: nothing of it may be called again", t0, FATAL)
-        with doing("instantiate", self.name):
-            instance = self._calls.instantiate(self.name)
-        if not instance:
-            raise self._error(f"{self._shown}Instantiate gave nothing: {self._last_words()}", t0, ERROR)
-        adapter.table.instance = instance
-        adapter.table.failed = OK
+        if not self._instantiate():
+            raise self._error(self._refusal(), t0, ERROR)
         with doing("initialise", self.name):
             self._switch_messages_on(t0)
             self._enter_initialisation(t0, starts, u)
+
+    def prove(self) -> None:
+        """Make an instance and free it: what no instance comes of cannot be run, whatever it is given.
+
+        Raises ConfigurationError: the library gave none, as where the description is not its own.
+        """
+        self.free()
+        self.adapter.renew(0.0)
+        if not self._instantiate():
+            raise ConfigurationError(f"{self.name}: {self._refusal()}")
+        self.free()
+
+    def _instantiate(self) -> bool:
+        with doing("instantiate", self.name):
+            instance = self._calls.instantiate(self.name)
+        self.adapter.table.instance = instance or None
+        self.adapter.table.failed = OK if instance else ERROR
+        return bool(instance)
+
+    def _refusal(self) -> str:
+        words = self._last_words()
+        token = "instantiationToken" if self._version == 3 else "guid"
+        hint = "" if token.lower() in words.lower() else f"; the {token} in its description may be another than its own"
+        return f"{self._shown}Instantiate gave nothing: {words}{hint}"
 
     def restart(self, t0: float, starts: Iterable[Start], u: Vector, y: Vector) -> None:
         """As `start`, but of the instance there is, by its reset. Raises StepError."""

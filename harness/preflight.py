@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from fmus.component import ConfigurationError, Problem, Signal
+from fmus.fmu import FmuComponent
 from harness.campaign import Campaign, Case
 from harness.criteria import bound_misfit
 from harness.definitions import misfits, results, shown_unit
 from harness.references import place_at
+from harness.system import System
 from harness.validation import nearest_hint
 from harness.wiring import wire
 
@@ -25,9 +27,23 @@ class Readiness:
 
 
 def recorded_signals(case: Case) -> list[Signal]:
-    """The signals that the record of a case will have. Raises ConfigurationError."""
+    """The signals that the record of a case will have, once its FMUs proved to work. Raises ConfigurationError."""
     with wire(case.scenario, case.places) as system:
+        _prove(system, case)
         return [system.bus[place] for place in system.recorded]
+
+
+def _prove(system: System, case: Case) -> None:
+    """Whether every FMU gives an instance."""
+    problems = []
+    for name, component in system.components.items():
+        if isinstance(component, FmuComponent):
+            try:
+                component.prove()
+            except ConfigurationError as error:
+                problems += [case.places.problem(str(one), "parts", name, "use") for one in error.problems]
+    if problems:
+        raise ConfigurationError(problems)
 
 
 def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = recorded_signals) -> Readiness:
