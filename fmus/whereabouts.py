@@ -12,18 +12,25 @@ from mmap import mmap
 
 
 class Whereabouts(ctypes.Structure):
-    """What is being done (`stage`) to the part `name`.
+    """What is being done (`stage`) to the part `name`. Rows of the record before `instant` are complete.
 
-    While the loop in C steps, the part is the one with number `part` in the order, stepped to instant `instant`. Rows
-    of the record before `instant` are complete.
+    While the loop in C steps, it writes the instant stepped to and where the entry of the part lies in its table, which
+    begins at `table` and has entries of `size` bytes.
     """
 
     _fields_ = (
         ("instant", ctypes.c_int64),
-        ("part", ctypes.c_int64),
+        ("entry", ctypes.c_uint64),
+        ("table", ctypes.c_uint64),
+        ("size", ctypes.c_uint64),
         ("stage", ctypes.c_char * 48),
         ("name", ctypes.c_char * 192),
     )
+
+    @property
+    def number(self) -> int:
+        """Which part of the order the loop is at, or was at last."""
+        return (self.entry - self.table) // self.size if self.size else 0
 
 
 SIZE = ctypes.sizeof(Whereabouts)

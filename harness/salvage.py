@@ -49,7 +49,7 @@ def _salvaged(outcome: Outcome, place: Whereabouts, told: Told, worker: Worker) 
     count = place.instant if 0 < place.instant <= grid.steps + 1 else 0
     part, instant = outcome.part, max(count - 1, 0)
     if outcome.stage == "step" and count:
-        part, instant = order[place.part] if 0 <= place.part < len(order) else "", min(count, grid.steps)
+        part, instant = order[place.number] if 0 <= place.number < len(order) else "", min(count, grid.steps)
     complete = "; all its rows are kept" if count == grid.steps + 1 else ""
     return replace(
         told.record,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, Component, Native, StepError, Vector
 from fmus.units import parse_unit
+from fmus.whereabouts import doing, here
 from harness.native import address, library, native_step
 from harness.system import Slot, System
 
@@ -44,6 +45,7 @@ class _Loop(ctypes.Structure):
         ("size", ctypes.c_int64),
         ("recorded", ctypes.c_void_p),
         ("columns", ctypes.c_int64),
+        ("here", ctypes.c_void_p),
     ]
 
 
@@ -86,14 +88,19 @@ class StartedSystem:
         self.failure: StepError | None = None
         grid = system.grid
         self.bus = np.array([parse_unit(s.unit).to_si(float(np.asarray(s.start))) for s in system.bus], dtype=float)
+        library().crankbench_settle()
         for slot in system.parts:
-            self._start(slot)
+            with doing("start", slot.name):
+                self._start(slot)
         self._callbacks: dict[int, _Callback] = {}
         self._took = np.zeros((len(system.parts), KEPT_TIMES))
         self._arrays: list[NDArray[Any]] = []
         self._parts = (_Part * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
         self._recorded = np.array(system.recorded, dtype=np.int64)
         everything = system.recorded == tuple(range(len(system.bus)))
+        place = here()
+        place.entry = place.table = ctypes.addressof(self._parts)
+        place.size = ctypes.sizeof(_Part)
         self._loop = _Loop(
             grid.start,
             grid.step,
@@ -103,7 +110,9 @@ class StartedSystem:
             len(self.bus),
             None if everything else address(self._recorded),
             len(system.recorded),
+            ctypes.addressof(place),
         )
+        library().crankbench_settle()
 
     def row(self) -> Vector:
         """The recorded signals as they stand on the bus, shape (columns,), SI."""
