@@ -326,7 +326,24 @@ static inline int do_step2(Slave *slave, double t, double h)
     return status == DISCARD ? discarded2(slave) : ended(slave, status, STEPPING);
 }
 
-/* Without event mode and early return an FMU that stops short of t + h or asks to end has not made the step. */
+/* A step that ended in no plain success. One that asks to end has not been made; of one that stops short though it
+ * was not allowed to, the rest is made while it gets on. */
+static SELDOM int shortened3(Slave *slave, double t, double end, int status, bool terminate, double reached)
+{
+    bool event = false, early = true;
+    while (fine(status) && !terminate && early && reached > t && reached < end) {
+        t = reached;
+        reached = end;
+        early = false;
+        status = ((DoStep3)slave->do_step)(slave->instance, t, end - t, true, &event, &terminate, &early, &reached);
+    }
+    if (fine(status) && !terminate && (!early || reached >= end))
+        return status;
+    slave->terminated = fine(status) && terminate;
+    slave->last_successful_time = fine(status) ? reached : t;
+    return ended(slave, fine(status) ? DISCARD : status, STEPPING);
+}
+
 static inline int do_step3(Slave *slave, double t, double h)
 {
     bool event = false, terminate = false, early = false;
@@ -334,9 +351,7 @@ static inline int do_step3(Slave *slave, double t, double h)
     int status = ((DoStep3)slave->do_step)(slave->instance, t, h, true, &event, &terminate, &early, &reached);
     if (fine(status) && !terminate && !early)
         return status;
-    slave->terminated = terminate;
-    slave->last_successful_time = fine(status) ? reached : t;
-    return ended(slave, fine(status) ? DISCARD : status, STEPPING);
+    return shortened3(slave, t, t + h, status, terminate, reached);
 }
 
 static inline int advance(int version, Slave *slave, const Block *inputs, const Block *end, double t, double h,

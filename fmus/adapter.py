@@ -126,7 +126,7 @@ class _Table(ctypes.Structure):
 @cache
 def stepping_library() -> ctypes.CDLL:
     """What steps FMUs, in one unit: adapter.c, and what goes with it for FMI 1 and for Model Exchange."""
-    sources = ("adapter.c", "fmi1.c", "exchange.c")
+    sources = ("adapter.c", "fmi1.c", "clocks.c", "exchange.c")
     unit = "\n".join(files("fmus").joinpath(source).read_text(encoding="utf-8") for source in sources)
     library = ctypes.CDLL(str(compile_shared(unit)))
     for version in (1, 2, 3):

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 from fmus.archive import unpack
 from fmus.binary import misfit
+from fmus.clocks import Clock
 from fmus.component import ConfigurationError, Problem
 from fmus.exchange import solver_missing
 from fmus.library import missing_libraries
@@ -69,6 +70,7 @@ class FmuDescription:
     interfaces: Mapping[FmuKind, Interface] = field(repr=False)
     states: int
     indicators: int
+    clocks: tuple[Clock, ...] = field(repr=False)
     variables: tuple[Variable, ...] = field(repr=False)
     dependencies: Mapping[str, frozenset[str]] = field(repr=False)
     capabilities: Mapping[str, bool | int | float | str] = field(repr=False)
@@ -83,8 +85,8 @@ class FmuDescription:
 
     @property
     def event_mode(self) -> bool:
-        """True where Co-Simulation is to hand over at events: it can, and has clocks that only tick there."""
-        return self.kind == "cs" and bool(self.capabilities.get("hasEventMode")) and self._has_clocks()
+        """True where Co-Simulation is to hand over at events: it can, and has clocks, which only tick there."""
+        return self.kind == "cs" and bool(self.capabilities.get("hasEventMode")) and bool(self.clocks)
 
     def run_as(self, kind: FmuKind) -> FmuDescription:
         """The description of the same FMU run in that kind. Raises ConfigurationError: it does not offer it."""
@@ -114,9 +116,6 @@ class FmuDescription:
         if not given:
             return self
         return replace(self, variables=tuple(_resized(v, {**known, **given}) for v in self.variables))
-
-    def _has_clocks(self) -> bool:
-        return any(variable.type == "Clock" for variable in self.variables)
 
     def to_json(self) -> dict[str, Any]:
         """The description as `crankbench inspect --json` prints it."""
@@ -163,6 +162,7 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
         raise ConfigurationError("the model description names neither Co-Simulation nor Model Exchange")
     if version == 1:
         capabilities = _capabilities_of_fmi1(folder)
+    clocks = _clocks(folder) if version == 3 else ()
     builds = {build.identifier: build for build in _builds(read)}
     interfaces: dict[FmuKind, Interface] = {}
     for kind, interface in offered.items():
@@ -179,8 +179,8 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
             library,
             build,
             capabilities,
-            _reasons(kind, library, platforms, build, folder),
-            tuple(_cautions(kind, capabilities, variables)),
+            (*_reasons(kind, library, platforms, build, folder), *_clock_reasons(kind, capabilities, clocks)),
+            (*_cautions(kind, capabilities, variables), *_clock_cautions(clocks)),
         )
     chosen_kind = next(iter(interfaces))
     chosen = interfaces[chosen_kind]
@@ -200,6 +200,7 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
         interfaces=interfaces,
         states=read.numberOfContinuousStates,
         indicators=read.numberOfEventIndicators,
+        clocks=clocks,
         variables=variables,
         dependencies={
             unknown.variable.name: frozenset(v.name for v in unknown.dependencies)
@@ -304,6 +305,50 @@ def _capabilities_of_fmi1(folder: Path) -> dict[str, bool | int | float | str]:
     if implementation is not None:
         found["needsExecutionTool"] = implementation.find("CoSimulation_Tool") is not None
     return found
+
+
+def _clocks(folder: Path) -> tuple[Clock, ...]:
+    """The clocks of an FMU of FMI 3, with their periods; FMPy does not read those."""
+    file = folder / "modelDescription.xml"
+    if b"<Clock" not in file.read_bytes():
+        return ()
+    found = []
+    for element in ElementTree.parse(file).getroot().iterfind("ModelVariables/Clock"):
+        resolution = _number(element, "resolution")
+        interval, shift = _number(element, "intervalDecimal"), _number(element, "shiftDecimal")
+        if interval is None and resolution:
+            interval, shift = _number(element, "intervalCounter"), _number(element, "shiftCounter")
+            interval, shift = None if interval is None else interval / resolution, (shift or 0.0) / resolution
+        found.append(
+            Clock(
+                element.get("name", ""),
+                int(element.get("valueReference", "0")),
+                element.get("causality", "local"),
+                element.get("intervalVariability", ""),
+                interval,
+                shift or 0.0,
+            )
+        )
+    return tuple(found)
+
+
+def _number(element: ElementTree.Element, name: str) -> float | None:
+    try:
+        return float(element.get(name, ""))
+    except ValueError:
+        return None
+
+
+def _clock_reasons(kind: FmuKind, capabilities: Mapping[str, Any], clocks: tuple[Clock, ...]) -> tuple[str, ...]:
+    reasons = [clock.refusal for clock in clocks if clock.refusal]
+    if kind == "cs" and any(clock.ticked for clock in clocks) and not capabilities.get("hasEventMode"):
+        reasons.append("it has clocks that want ticks, but no event mode to tick them in")
+    return tuple(reasons)
+
+
+def _clock_cautions(clocks: tuple[Clock, ...]) -> tuple[str, ...]:
+    still = [clock.name for clock in clocks if clock.causality == "input" and clock.variability == "triggered"]
+    return (f"its triggered clocks are never ticked: {', '.join(still)}",) if still else ()
 
 
 def _builds(read: Any) -> list[Build]:

@@ -9,7 +9,7 @@
 
 enum { CV_TSTOP_RETURN = 1, CV_ROOT_RETURN = 2, CV_ONE_STEP = 2, CV_REPTD_RHSFUNC_ERR = -10, CV_RHSFUNC_FAIL = -8 };
 /* What is more than these is an error with a name, not a longer wait. */
-enum { EVENT_ITERATIONS = 1000, EVENTS_AT_ONCE = 1000 };
+enum { EVENTS_AT_ONCE = 1000 };
 #define AT_ONCE 1e-7 /* of a communication step: events this near to the one before count as of one instant */
 
 typedef struct {
@@ -49,6 +49,7 @@ typedef struct {
     Function completed_step; /* NULL: the FMU says it needs none */
     Function enter_event_mode, update_states, enter_continuous_mode;
     Function initialise;                     /* FMI 1's */
+    Clocks clocks;                           /* FMI 3's */
     double *last_inputs;                     /* as they were set last */
     size_t inputs;
     double *values;                          /* of the indicators, one place for each */
@@ -252,7 +253,14 @@ static int handle_event(Exchange *e, double h, const double *u)
             return status;
         memcpy(e->last_inputs, u, e->inputs * sizeof *u);
     }
-    return settle(e, (Update){.again = 1});
+    status = tick(&e->clocks, INSTANCE, e->time);
+    return fine(status) ? settle(e, (Update){.again = 1}) : ended(e->slave, status, STEPPING);
+}
+
+/* Of what the FMU announced and the ticks of its clocks, the earliest. */
+static double next_event(const Exchange *e)
+{
+    return fmin(e->next_event_defined ? e->next_event : INFINITY, next_tick(&e->clocks));
 }
 
 /* ---- integration ---- */
@@ -320,12 +328,6 @@ static int unsolved(Exchange *e, int flag)
     if (e->status == DISCARD)
         return told(e, DISCARD, "the FMU discards its derivatives near t = %.9g s, however short the step", e->time);
     return told(e, ERROR, "CVODE gave up at t = %.9g s with %d: %s", e->time, flag, e->complaint);
-}
-
-/* A difference of times that is rounding: 0.3 + 2.7 is not quite 3.0. */
-static double rounding(double a, double b)
-{
-    return 8 * 2.220446049250313e-16 * fmax(fabs(a), fabs(b));
 }
 
 /* One step of the solver towards `stop`, at most; the FMU stands at the state reached. */
@@ -404,7 +406,7 @@ static int advance_exchange(Exchange *e, double t, double h, const double *u, do
     }
     while (status <= WARNING && e->time < end) {
         bool event = false;
-        double stop = e->next_event_defined && e->next_event < end + rounding(t, end) ? e->next_event : end;
+        double next = next_event(e), stop = next < end + rounding(t, end) ? next : end;
         if (stop > e->time) {
             status = integrate(e, stop, &event);
             if (status <= WARNING)
@@ -412,7 +414,7 @@ static int advance_exchange(Exchange *e, double t, double h, const double *u, do
             if (status > WARNING)
                 break;
         }
-        if (event || (e->next_event_defined && e->next_event <= e->time))
+        if (event || next_event(e) <= e->time)
             status = handle_event(e, h, NULL);
     }
     if (status > WARNING)
@@ -446,6 +448,8 @@ EXPORT int exchange_start(void *self, double t0, const double *u, double *y)
             return ended(e->slave, status, STEPPING);
         now = (Update){!first.converged, first.terminate, 0, first.values_changed, first.next_defined, first.next};
     }
-    int status = settle(e, now);
+    rewind_clocks(&e->clocks, t0);
+    int status = tick(&e->clocks, INSTANCE, t0);
+    status = fine(status) ? settle(e, now) : ended(e->slave, status, STEPPING);
     return status > WARNING ? status : read_blocks(e->version, e->slave, y);
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import importlib.util
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from ctypes import POINTER, addressof, c_char, c_double, c_int, c_int64, c_long, c_size_t, c_ubyte, c_void_p
 from dataclasses import dataclass
 from functools import cache
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from fmus.adapter import Adapter, address, stepping_library
+from fmus.clocks import Clock, ClockTable
 from fmus.component import ConfigurationError, Native, Problem, Vector
 from fmus.model import unknown
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
@@ -123,7 +124,9 @@ class _Exchange(ctypes.Structure):
         ("indicators", c_size_t),
         *((name, c_void_p) for name in (*_COMMON, "get_derivatives", "get_indicators", "get_nominals")),
         *((name, c_void_p) for name in ("completed_step", "enter_event_mode", "update_states")),
-        *((name, c_void_p) for name in ("enter_continuous_mode", "initialise", "last_inputs")),
+        *((name, c_void_p) for name in ("enter_continuous_mode", "initialise")),
+        ("clocks", ClockTable),
+        ("last_inputs", c_void_p),
         ("inputs", c_size_t),
         ("values", c_void_p),
         ("domains", c_void_p),
@@ -174,7 +177,13 @@ class Exchange:
     """
 
     def __init__(
-        self, version: int, function: Callable[[str], int], adapter: Adapter, stepping: Stepping, completes: bool
+        self,
+        version: int,
+        function: Callable[[str], int],
+        adapter: Adapter,
+        stepping: Stepping,
+        clocks: Sequence[Clock],
+        completes: bool,
     ) -> None:
         names = {**_COMMON, **_BY_VERSION[version], "get_indicators": "GetEventIndicators"}
         if completes:
@@ -188,6 +197,7 @@ class Exchange:
             max_step=stepping.step if math.isfinite(stepping.step) else 0.0,
             **{field: function(name) for field, name in names.items()},
         )
+        self._kept = self._state.clocks.fill(clocks, function)
         library = stepping_library()
         self._start, self._release = library.exchange_start, library.exchange_release
         self._start.argtypes, self._release.argtypes = (c_void_p, c_double, c_void_p, c_void_p), (c_void_p,)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from fmus.adapter import PASSAGES, Adapter
+from fmus.clocks import EventMode
 from fmus.component import DISCARD, ERROR, FATAL, OK, WARNING, ConfigurationError, Native, Problem, StepError, Vector
 from fmus.description import FmuDescription
 from fmus.exchange import Exchange, Stepping
@@ -46,6 +47,7 @@ class Slave:
         self._prefix = f"{description.model_identifier}_fmi" if self._version == 1 else f"fmi{self._version}"
         self._stepping = stepping or Stepping()
         self.exchange: Exchange | None = None
+        self._event_mode: EventMode | None = None
         try:
             self._path = description.library or built_library(description)
             with doing("load", name):
@@ -53,6 +55,8 @@ class Slave:
             self.adapter = Adapter(self._version, self._library.address, description.kind)
             if description.kind == "me":
                 self.exchange = self._make_exchange(self._library)
+            elif description.event_mode:
+                self._event_mode = EventMode(self._library.address, self.adapter, description.clocks)
         except ConfigurationError as error:
             raise ConfigurationError([Problem(f"{name}: {problem}") for problem in error.problems]) from error
         self._calls = _VERSIONS[self._version](description, self._library, self.adapter.self)
@@ -127,11 +131,14 @@ class Slave:
         for function, arguments in self._calls.after_inputs(t0):
             self.call(t0, function, *arguments)
         self._running = True
-        if self.exchange is None:
+        if self.exchange is not None:
+            states, indicators = self._calls.sizes(adapter.table.instance)
+            status = self.exchange.start(t0, states, indicators, self._inputs, y)
+        elif self._event_mode is not None:
+            status = self._event_mode.start(t0, self._inputs, y)
+        else:
             self._check(t0, _STAGES[2], adapter.read(adapter.self, y.ctypes.data))
             return
-        states, indicators = self._calls.sizes(adapter.table.instance)
-        status = self.exchange.start(t0, states, indicators, self._inputs, y)
         if status > WARNING:
             raise self.failure(status, t0)
 
@@ -145,12 +152,16 @@ class Slave:
 
     def native(self) -> Native:
         """The step for C; without a running instance it returns the status ERROR."""
-        return self.adapter.native() if self.exchange is None else self.exchange.native()
+        return self._stepped.native()
 
     def step(self, t: float, h: float, u: int, y: int) -> int:
         """The status of the step that `native` names, with inputs and outputs at these addresses."""
-        stepped = self.adapter if self.exchange is None else self.exchange
+        stepped = self._stepped
         return int(stepped.step(stepped.self, t, h, u, y))
+
+    @property
+    def _stepped(self) -> Adapter | Exchange | EventMode:
+        return self.exchange or self._event_mode or self.adapter
 
     def failure(self, status: int, time: float) -> StepError:
         """The error for a step from `time` [s] that ended in `status`, with the FMU's last message on it."""
@@ -194,7 +205,8 @@ class Slave:
 
     def _make_exchange(self, library: Library) -> Exchange:
         needed = self._version == 1 or bool(self._description.capabilities.get("needsCompletedIntegratorStep", True))
-        return Exchange(self._version, library.address, self.adapter, self._stepping, needed)
+        clocks = self._description.clocks
+        return Exchange(self._version, library.address, self.adapter, self._stepping, clocks, needed)
 
     def _enter_initialisation(self, t0: float, starts: Iterable[Start], u: Vector) -> None:
         adapter = self.adapter
