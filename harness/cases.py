@@ -89,6 +89,7 @@ def _execute(
         (worker,) = crew.workers[:1]
         outcome = worker.call(recorded_signals, case, limits=campaign.limits)
         if outcome.error is not None:
+            outcome.error.add_note(outcome.message)
             raise outcome.error
         return outcome.value if outcome.kind == "result" else None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 
 # How much is kept of the beginning, and as much of the end [bytes].
 KEPT = 32 * 1024
@@ -15,6 +16,10 @@ class Noise:
     def __init__(self) -> None:
         self.reader, self.writer = os.pipe()
         os.set_blocking(self.reader, False)
+        with suppress(ImportError, AttributeError, OSError):  # Linux only: who prints much waits less
+            import fcntl
+
+            fcntl.fcntl(self.writer, fcntl.F_SETPIPE_SZ, _AT_ONCE)
         self.forget()
 
     def forget(self) -> None:

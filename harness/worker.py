@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus import whereabouts
+from fmus.component import ConfigurationError
 from fmus.whereabouts import Whereabouts
 from harness import workplace
 from harness.descriptor import Descriptor
@@ -118,6 +119,7 @@ class Worker:
         self._noise.forget()
         self._sheet.clear()
         first, self._calls = self._calls == 0, self._calls + 1
+        _cap_memory(self._process.pid, limits.memory)
         watch = _Watch(self._process.pid, self._sheet, limits)
         told: Any = None
         done: Outcome | None = None
@@ -144,7 +146,8 @@ class Worker:
                 self.close()
                 raise InterruptedError
         lost = done.kind in ("crash", "timeout")
-        if lost:
+        full = memory_used(self._process.pid) > 0.5 * limits.memory
+        if lost or full:  # what one call did not give back would be missing to the next
             self._end()
             self._noise.read()
         return replace(
@@ -172,6 +175,8 @@ class Worker:
         self._process = None
 
     def _start(self) -> None:
+        if os.name != "posix":
+            raise ConfigurationError("workers want Linux or macOS; on Windows, use the Windows Subsystem for Linux")
         self._noise, self._sheet, self._calls = Noise(), Sheet(), 0
         self._line, theirs = multiprocessing.Pipe()
         watched, self._lifeline = os.pipe()
@@ -262,6 +267,17 @@ def memory_used(pid: int) -> float:
     except (OSError, ValueError):
         return 0.0
     return float((resident - shared) * os.sysconf("SC_PAGE_SIZE"))
+
+
+def _cap_memory(pid: int, limit: float) -> None:
+    """Have the system refuse a process what is far beyond its limit, should it be faster than its parent looks."""
+    with suppress(ImportError, AttributeError, OSError, ValueError):
+        import resource
+
+        with open(f"/proc/{pid}/statm", "rb") as file:
+            data = int(file.read().split()[5]) * os.sysconf("SC_PAGE_SIZE")
+        _, hard = resource.prlimit(pid, resource.RLIMIT_DATA)  # type: ignore[attr-defined, unused-ignore]
+        resource.prlimit(pid, resource.RLIMIT_DATA, (int(data + 2 * limit), hard))
 
 
 def gibibytes(amount: float) -> str:

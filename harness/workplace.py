@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import faulthandler
-import fcntl
 import locale
 import os
-import resource
 import signal
 import sys
 import threading
@@ -75,6 +73,8 @@ def _die_with(lifeline: int) -> None:
 
     On Linux the system does it, whatever this process does then; elsewhere a thread.
     """
+    import fcntl
+
     if hasattr(fcntl, "F_SETSIG"):
         fcntl.fcntl(lifeline, fcntl.F_SETOWN, -os.getpgrp())
         fcntl.fcntl(lifeline, fcntl.F_SETSIG, signal.SIGKILL)
@@ -90,6 +90,8 @@ def _die_with(lifeline: int) -> None:
 
 def _keep_quiet(output: int) -> None:
     """Let standard output and error go to the pipe, line by line; input is empty; a crash leaves no core file."""
+    import resource
+
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.dup2(output, 1)
