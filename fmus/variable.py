@@ -88,7 +88,8 @@ def read_variable(v: Any, units: Mapping[str, Any], relative: bool) -> Variable:
 
     Of FMI 1, which has no `initial`, a start value may be set wherever one is given.
 
-    Raises ConfigurationError: it has another number of start values than its shape has places.
+    Raises ConfigurationError: it has another number of start values than its shape has places, or what should be a
+    number is none.
     """
     declared = v.declaredType
     unit = v.unit or (declared.unit if declared is not None else None) or ""
@@ -117,7 +118,14 @@ def read_variable(v: Any, units: Mapping[str, Any], relative: bool) -> Variable:
 
 def _bound(v: Any, name: str, default: float) -> float:
     text = getattr(v, name) or getattr(v.declaredType, name, None)
-    return default if text in (None, "") else float(text)
+    return default if text in (None, "") else _number(v.name, text)
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ConfigurationError(f"{name} wants numbers, got '{text[:60]}'") from error
 
 
 def _quantity(name: str, units: Mapping[str, Any], relative: bool) -> Unit | None:
@@ -155,7 +163,7 @@ def _start(v: Any) -> tuple[float | str, ...]:
         return (v.start,) if v.type == "String" and not v.shape else ()
     words = v.start.split()
     values = [{"true": 1.0, "false": 0.0}.get(word) if v.type == "Boolean" else None for word in words]
-    numbers = [float(word) if value is None else value for word, value in zip(words, values, strict=True)]
+    numbers = [_number(v.name, word) if value is None else value for word, value in zip(words, values, strict=True)]
     size = math.prod(v.shape or ())
     if len(numbers) not in (1, size):
         raise ConfigurationError(f"{v.name} wants {size} start values, got {len(numbers)}")
