@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 from collections.abc import Iterable
 from ctypes import c_size_t, c_uint32, c_void_p
 from typing import Any
@@ -48,6 +49,7 @@ class Slave:
         self._stepping = stepping or Stepping()
         self.exchange: Exchange | None = None
         self._event_mode: EventMode | None = None
+        self._threads = _threads()
         try:
             self._path = description.library or built_library(description)
             with doing("load", name):
@@ -196,9 +198,12 @@ class Slave:
         self._calls.dismiss()
 
     def unload(self) -> None:
-        """Free the instance and let go of the library; a corrupt one stays loaded, since letting go runs its code."""
+        """Free the instance and let go of the library.
+
+        A corrupt one stays loaded, since letting go runs its code; so does one whose threads may still run in it.
+        """
         self.free()
-        if self._library is not None and str(self._path) not in _CORRUPT:
+        if self._library is not None and str(self._path) not in _CORRUPT and _threads() <= self._threads:
             with doing("unload", self.name):
                 self._library.release()
         self._library = None
@@ -281,3 +286,11 @@ def _c_value(value: float | str, c_type: Any) -> Any:
     if c_type in (ctypes.c_double, ctypes.c_float):
         return value
     return bool(value) if c_type is ctypes.c_bool else round(value)
+
+
+def _threads() -> int:
+    """How many threads this process has; 0 where the system does not tell."""
+    try:
+        return len(os.listdir("/proc/self/task"))
+    except OSError:
+        return 0
