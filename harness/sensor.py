@@ -137,6 +137,7 @@ class SensorComponent:
         signal = Signal("value", measured.unit, measured.start, measured.description, measured.nominal, kind=kind)
         self.inputs: Sequence[Signal] = (Signal("of", measured.unit, measured.start, kind=measured.kind),)
         self.outputs: Sequence[Signal] = (signal,)
+        self._state: _Sensor | None = None
         self._whole, self._fraction = split_delay(errors.delay, period)
         self.feedthrough = frozenset({("value", "of")} if self._whole == 0 else ())
 
@@ -191,13 +192,19 @@ class SensorComponent:
 
     def native(self) -> Native:
         """The step in C."""
-        return native_step("crankbench_sensor_step", self._state)
+        return native_step("crankbench_sensor_step", self._started())
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Forget the state: it wants a start before the next step."""
+        self._state = None
+
+    def _started(self) -> _Sensor:
+        if self._state is None:
+            raise StepError(f"the sensor {self.part} wants a start before it is stepped")
+        return self._state
 
     def _reading(self, function: str, *times: float, u: Vector) -> Vector:
-        status, reading = call(function, self._state, *times, u=u)
+        status, reading = call(function, self._started(), *times, u=u)
         if status != OK:
             raise StepError("the sensor has no random numbers", part=self.part, time=times[0], status=status)
         return np.array([reading])

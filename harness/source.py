@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from fmus.component import Native, Role, Signal, Vector
+from fmus.component import Native, Role, Signal, StepError, Vector
 from harness.findings import Findings
 from harness.native import address, call, native_step
 from harness.scenario import Measure, Ramp, Sine, SourcePart, Step, Table
@@ -54,6 +54,7 @@ class SourceComponent:
         edge: float = 0.0,
     ) -> None:
         self.outputs: Sequence[Signal] = (Signal("value", unit),)
+        self._state: _Source | None = None
         self.shape, self.edge = shape, edge
         self.times, self.values = np.array(times, dtype=float), np.array(values, dtype=float)
         self.mean, self.amplitude, self.omega, self.phase = mean, amplitude, omega, phase
@@ -76,14 +77,20 @@ class SourceComponent:
 
     def step(self, t: float, h: float, u: Vector) -> Vector:
         """The value held over a step from t [s], which is the value at t, shape (1,)."""
-        return np.array([call("crankbench_source_step", self._state, t, h)[1]])
+        return np.array([call("crankbench_source_step", self._started(), t, h)[1]])
 
     def native(self) -> Native:
         """The step in C."""
-        return native_step("crankbench_source_step", self._state)
+        return native_step("crankbench_source_step", self._started())
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Forget the state: it wants a start before the next step."""
+        self._state = None
+
+    def _started(self) -> _Source:
+        if self._state is None:
+            raise StepError("the source wants a start before it is stepped")
+        return self._state
 
 
 def build_source(spec: SourcePart, step: float, found: Findings) -> SourceComponent:
