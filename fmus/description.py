@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
-from xml.etree import ElementTree
+from typing import Any
 
 from fmus.archive import unpack
 from fmus.binary import misfit
@@ -16,18 +15,10 @@ from fmus.clocks import Clock
 from fmus.component import ConfigurationError, Problem
 from fmus.exchange import solver_missing
 from fmus.library import missing_libraries
-from fmus.modelxml import checked_description
-from fmus.sources import Build, SourceSet
+from fmus.modeltext import FmuKind, Offer, Validation, read_model_text
+from fmus.sources import Build
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
-from fmus.variable import Variable, read_variable
-
-# What becomes of the rules of the standard that a model description breaks: refused, read all the same and told of,
-# or not looked for.
-Validation = Literal["strict", "warn", "off"]
-
-_ELEMENTS = {"cs": "CoSimulation", "me": "ModelExchange", "se": "ScheduledExecution"}
-# Co-Simulation, Model Exchange, Scheduled Execution.
-FmuKind = Literal["cs", "me", "se"]
+from fmus.variable import Variable
 
 
 @dataclass(frozen=True)
@@ -151,46 +142,32 @@ def describe(path: str | Path, validation: Validation = "warn") -> FmuDescriptio
 
 @lru_cache(maxsize=64)
 def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescription:
-    read, broken = _read(folder, validation)
-    relative = _relative_quantities(folder)
-    units = {unit.name: unit.baseUnit for unit in read.unitDefinitions}
-    variables = tuple(read_variable(v, units, v.name in relative) for v in read.modelVariables)
-    version = int(read.fmiVersion.split(".")[0])
-    kinds: dict[FmuKind, Any] = {"cs": read.coSimulation, "me": read.modelExchange, "se": read.scheduledExecution}
-    offered = {kind: interface for kind, interface in kinds.items() if interface is not None}
-    if not offered:
-        raise ConfigurationError("the model description names neither Co-Simulation nor Model Exchange")
-    if version == 1:
-        capabilities = _capabilities_of_fmi1(folder)
-    clocks = _clocks(folder) if version == 3 else ()
-    builds = {build.identifier: build for build in _builds(read)}
+    text = read_model_text(folder, sha256, validation)
+    version = int(text.fmi_version.split(".")[0])
+    builds = {build.identifier: build for build in text.builds}
     interfaces: dict[FmuKind, Interface] = {}
-    for kind, interface in offered.items():
-        identifier = interface.modelIdentifier or ""
+    for offer in text.offers:
+        identifier, capabilities = offer.identifier, offer.capabilities
         library, platforms = _library(folder, identifier, version), _platforms(folder, identifier)
-        if version > 1:
-            capabilities = _capabilities(interface)
-        if version == 3:
-            capabilities["providesDirectionalDerivative"] = _gives_derivatives(folder, kind)
         build = builds.get(identifier)
-        interfaces[kind] = Interface(
+        interfaces[offer.kind] = Interface(
             identifier,
             platforms,
             library,
             build,
             capabilities,
-            (*_reasons(kind, library, platforms, build, folder), *_clock_reasons(kind, capabilities, clocks)),
-            (*_cautions(kind, capabilities, variables), *_clock_cautions(clocks)),
+            (*_reasons(offer.kind, library, platforms, build, folder), *_clock_reasons(offer, text.clocks)),
+            (*_cautions(offer.kind, capabilities, text.variables), *_clock_cautions(text.clocks)),
         )
     chosen_kind = next(iter(interfaces))
     chosen = interfaces[chosen_kind]
     return FmuDescription(
-        fmi_version=read.fmiVersion,
+        fmi_version=text.fmi_version,
         kinds=tuple(interfaces),
         kind=chosen_kind,
-        model_name=read.modelName or "",
-        tool=read.generationTool or "",
-        token=read.guid or "",
+        model_name=text.model_name,
+        tool=text.tool,
+        token=text.token,
         model_identifier=chosen.identifier,
         platforms=chosen.platforms,
         library=chosen.library,
@@ -198,63 +175,16 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
         folder=folder,
         sha256=sha256,
         interfaces=interfaces,
-        states=read.numberOfContinuousStates,
-        indicators=read.numberOfEventIndicators,
-        clocks=clocks,
-        variables=variables,
-        dependencies={
-            unknown.variable.name: frozenset(v.name for v in unknown.dependencies)
-            for unknown in read.outputs
-            if unknown.dependencies is not None
-        },
+        states=text.states,
+        indicators=text.indicators,
+        clocks=text.clocks,
+        variables=text.variables,
+        dependencies=text.dependencies,
         capabilities=chosen.capabilities,
-        log_categories=tuple(category.name for category in read.logCategories),
+        log_categories=text.log_categories,
         reasons=chosen.reasons,
-        cautions=(*broken, *chosen.cautions),
+        cautions=(*text.broken, *chosen.cautions),
     )
-
-
-def _read(folder: Path, validation: Validation) -> tuple[Any, list[str]]:
-    """FMPy's model description, and the rules of the standard it breaks where those are looked for."""
-    from fmpy.model_description import ValidationError, read_model_description
-
-    checked_description(folder)
-    try:
-        return read_model_description(folder, validate=validation != "off"), []
-    except ValidationError as error:
-        broken = [str(problem) for problem in error.problems]
-    except SyntaxError as error:
-        raise ConfigurationError(f"the model description is not XML: {error}") from error
-    except Exception as error:  # FMPy raises plain Exception for a version or a build description it does not take
-        broken = [str(error)]
-    if validation == "strict":
-        raise ConfigurationError([Problem(f"breaks a rule of the standard: {rule}") for rule in broken])
-    try:
-        return read_model_description(folder, validate=False), broken
-    except Exception as error:
-        raise ConfigurationError(f"the model description cannot be read: {error}") from error
-
-
-def _relative_quantities(folder: Path) -> frozenset[str]:
-    """Names of the variables that are differences: their unit's offset does not apply. FMPy does not read this."""
-    file = folder / "modelDescription.xml"
-    if b"relativeQuantity" not in file.read_bytes():
-        return frozenset()
-    root = ElementTree.parse(file).getroot()
-    types: frozenset[str | None] = frozenset()
-    for folder_name in ("TypeDefinitions", "ModelVariables"):
-        types = frozenset(
-            element.get("name")
-            for element in root.iterfind(f"{folder_name}/*")
-            if any(_is_relative(part, types) for part in (element, *element))
-        )
-    return frozenset(name for name in types if name is not None)
-
-
-def _is_relative(element: ElementTree.Element, types: frozenset[str | None]) -> bool:
-    """True for what calls itself relative, or says nothing and is declared of a type that is."""
-    own = element.get("relativeQuantity")
-    return own in ("true", "1") if own is not None else element.get("declaredType") in types - {None}
 
 
 def _library(folder: Path, identifier: str, version: int) -> Path | None:
@@ -281,11 +211,6 @@ def _is_library(file: Path) -> bool:
     return file.suffix in (".so", ".dll", ".dylib")
 
 
-def _capabilities(interface: Any) -> dict[str, bool | int | float | str]:
-    names = sorted(name for name in dir(interface) if not name.startswith("_") and name != "modelIdentifier")
-    return {name: value for name in names if (value := getattr(interface, name)) is not None}
-
-
 def _resized(variable: Variable, sizes: Mapping[str, int]) -> Variable:
     shape = tuple(sizes[size] if isinstance(size, str) else size for size in variable.dimensions)
     if shape == variable.shape:
@@ -294,54 +219,9 @@ def _resized(variable: Variable, sizes: Mapping[str, int]) -> Variable:
     return replace(variable, shape=shape, start=start)
 
 
-def _capabilities_of_fmi1(folder: Path) -> dict[str, bool | int | float | str]:
-    """What a Co-Simulation FMU of FMI 1 says it can; FMPy does not read this."""
-    root = ElementTree.parse(folder / "modelDescription.xml").getroot()
-    implementation = root.find("Implementation")
-    found: dict[str, bool | int | float | str] = {}
-    for element in () if implementation is None else implementation.iter("Capabilities"):
-        for name, text in element.items():
-            found[name] = text in ("true", "1") if name.startswith("can") else text
-    if implementation is not None:
-        found["needsExecutionTool"] = implementation.find("CoSimulation_Tool") is not None
-    return found
-
-
-def _clocks(folder: Path) -> tuple[Clock, ...]:
-    """The clocks of an FMU of FMI 3, with their periods; FMPy does not read those."""
-    file = folder / "modelDescription.xml"
-    if b"<Clock" not in file.read_bytes():
-        return ()
-    found = []
-    for element in ElementTree.parse(file).getroot().iterfind("ModelVariables/Clock"):
-        resolution = _number(element, "resolution")
-        interval, shift = _number(element, "intervalDecimal"), _number(element, "shiftDecimal")
-        if interval is None and resolution:
-            interval, shift = _number(element, "intervalCounter"), _number(element, "shiftCounter")
-            interval, shift = None if interval is None else interval / resolution, (shift or 0.0) / resolution
-        found.append(
-            Clock(
-                element.get("name", ""),
-                int(element.get("valueReference", "0")),
-                element.get("causality", "local"),
-                element.get("intervalVariability", ""),
-                interval,
-                shift or 0.0,
-            )
-        )
-    return tuple(found)
-
-
-def _number(element: ElementTree.Element, name: str) -> float | None:
-    try:
-        return float(element.get(name, ""))
-    except ValueError:
-        return None
-
-
-def _clock_reasons(kind: FmuKind, capabilities: Mapping[str, Any], clocks: tuple[Clock, ...]) -> tuple[str, ...]:
+def _clock_reasons(offer: Offer, clocks: tuple[Clock, ...]) -> tuple[str, ...]:
     reasons = [clock.refusal for clock in clocks if clock.refusal]
-    if kind == "cs" and any(clock.ticked for clock in clocks) and not capabilities.get("hasEventMode"):
+    if offer.kind == "cs" and any(clock.ticked for clock in clocks) and not offer.capabilities.get("hasEventMode"):
         reasons.append("it has clocks that want ticks, but no event mode to tick them in")
     return tuple(reasons)
 
@@ -349,31 +229,6 @@ def _clock_reasons(kind: FmuKind, capabilities: Mapping[str, Any], clocks: tuple
 def _clock_cautions(clocks: tuple[Clock, ...]) -> tuple[str, ...]:
     still = [clock.name for clock in clocks if clock.causality == "input" and clock.variability == "triggered"]
     return (f"its triggered clocks are never ticked: {', '.join(still)}",) if still else ()
-
-
-def _builds(read: Any) -> list[Build]:
-    """What FMPy read of how the FMU is built from sources."""
-    return [
-        Build(
-            configuration.modelIdentifier or "",
-            tuple(
-                SourceSet(
-                    tuple(part.sourceFiles),
-                    tuple((d.name, d.value or "") for d in part.preprocessorDefinitions if not d.optional),
-                    tuple(part.includeDirectories),
-                    part.language or "",
-                )
-                for part in configuration.sourceFileSets
-            ),
-        )
-        for configuration in read.buildConfigurations or ()
-    ]
-
-
-def _gives_derivatives(folder: Path, kind: FmuKind) -> bool:
-    """Whether an FMI 3 FMU says it gives directional derivatives: FMPy looks for the attribute of FMI 2."""
-    interface = ElementTree.parse(folder / "modelDescription.xml").getroot().find(_ELEMENTS[kind])
-    return interface is not None and interface.get("providesDirectionalDerivatives") in ("true", "1")
 
 
 def _reasons(

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parent.parent
 ORDER = ("reports", "harness", "selection", "observers", "fmus")
 REPORTS_READ_FOLDERS_ONLY = {"harness", "selection", "observers"}
 # The edge to FMPy: reading a model description, binding and calling the functions of an FMU.
-FMPY_EDGE = {"fmus/description.py", "fmus/slave.py", "fmus/fmu.py"}
+FMPY_EDGE = {"fmus/modeltext.py"}
 SAYING_NOTHING = {"utils", "util", "helpers", "helper", "common", "misc", "base", "core", "tools", "shared", "lib"}
 
 FILES = sorted(path for package in ORDER for path in (ROOT / package).rglob("*.py"))
