@@ -15,6 +15,7 @@ from harness.campaign import Campaign, Case
 from harness.crew import Crew
 from harness.criteria import Verdict, judge
 from harness.definitions import Definition, digest
+from harness.native import settle
 from harness.preflight import preflight, recorded_signals
 from harness.record import COMPLETE
 from harness.run import no_rows, run
@@ -87,11 +88,16 @@ def _execute(
 ) -> Result:
     def look(case: Case) -> list[Signal] | None:
         (worker,) = crew.workers[:1]
-        outcome = worker.call(recorded_signals, case, limits=campaign.limits)
+        outcome = worker.call(survey, case, limits=campaign.limits)
         if outcome.error is not None:
             outcome.error.add_note(outcome.message)
             raise outcome.error
-        return outcome.value if outcome.kind == "result" else None
+        if outcome.kind != "result":
+            return None
+        signals, left = outcome.value
+        if left != "unchanged":
+            worker.close()
+        return list(signals)
 
     units = preflight(campaign, look).units
     kept = [case for case in campaign.cases if finished == "kept" and _finished(folder, case)]
@@ -113,8 +119,16 @@ def _execute(
     return Result(folder, {case.label: case.outcome for case in cases}, verdicts)
 
 
+def survey(case: Case) -> tuple[list[Signal], Literal["unchanged", "changed"]]:
+    """The signals that the record of a case will have, and what looking left the process in; see `run_case`."""
+    before = condition()
+    signals = recorded_signals(case)
+    return signals, "unchanged" if before == condition() else "changed"
+
+
 def run_case(case: Case, folder: Path, definitions: Mapping[str, Definition]) -> Literal["unchanged", "changed"]:
     """Wire, run and keep one case, in a worker; what it left the process in. Raises ConfigurationError."""
+    settle()
     before = condition()
     sheet = workplace.sheet()
     with doing("wiring"), wire(case.scenario, case.places) as system:
@@ -126,6 +140,7 @@ def run_case(case: Case, folder: Path, definitions: Mapping[str, Definition]) ->
 
         record = run(system, new_rows=new_rows)
     after = condition()
+    settle()
     with doing("writing"):
         write_case(folder, case, record, definitions)
     return "unchanged" if before == after and record.outcome in COMPLETE else "changed"

@@ -118,8 +118,11 @@ def _flush() -> None:
 
 
 def condition() -> tuple[object, ...]:
-    """What a part may have changed of this process that outlives it: folder, locale, threads and signal handlers."""
-    return (os.getcwd(), locale.setlocale(locale.LC_ALL), *_status())
+    """What a part may have changed of this process that outlives it: folder, locale, threads and signal handlers.
+
+    And where modules come from: FMUs with Python inside bring their own, which the next one would be given.
+    """
+    return (os.getcwd(), locale.setlocale(locale.LC_ALL), *sys.path, *_status())
 
 
 def _status() -> list[str]:
