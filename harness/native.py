@@ -23,6 +23,11 @@ def library() -> ctypes.CDLL:
     return ctypes.CDLL(str(compile_shared("\n".join((folder / name).read_text("utf-8") for name in _FILES))))
 
 
+def settle() -> None:
+    """Set rounding and the like to what a process begins with: a library may change them when it is loaded or run."""
+    library().crankbench_settle()
+
+
 def native_step(function: str, state: ctypes.Structure) -> Native:
     """A function of the library and the structure it works on, as a step that C may call."""
     step = ctypes.cast(getattr(library(), function), ctypes.c_void_p).value

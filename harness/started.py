@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, Component, Native, StepError, Vector
 from fmus.units import parse_unit
 from fmus.whereabouts import doing, here
-from harness.native import address, library, native_step
+from harness.native import address, library, native_step, settle
 from harness.system import Slot, System
 
 # How many timed steps of a part loop.c keeps.
@@ -88,7 +88,7 @@ class StartedSystem:
         self.failure: StepError | None = None
         grid = system.grid
         self.bus = np.array([parse_unit(s.unit).to_si(float(np.asarray(s.start))) for s in system.bus], dtype=float)
-        library().crankbench_settle()
+        settle()
         for slot in system.parts:
             with doing("start", slot.name):
                 self._start(slot)
@@ -112,7 +112,7 @@ class StartedSystem:
             len(system.recorded),
             ctypes.addressof(place),
         )
-        library().crankbench_settle()
+        settle()
 
     def row(self) -> Vector:
         """The recorded signals as they stand on the bus, shape (columns,), SI."""
