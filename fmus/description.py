@@ -140,6 +140,11 @@ def describe(path: str | Path, validation: Validation = "warn") -> FmuDescriptio
         raise ConfigurationError([Problem(f"{path}: {problem}") for problem in error.problems]) from error
 
 
+def forget() -> None:
+    """Forget what this process knows of FMUs described before; what is kept on disk stays."""
+    _described.cache_clear()
+
+
 @lru_cache(maxsize=64)
 def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescription:
     text = read_model_text(folder, sha256, validation)
