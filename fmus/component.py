@@ -133,6 +133,9 @@ class ConfigurationError(Exception):
         self.problems = list(problems)
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
+    def __reduce__(self) -> tuple[type[ConfigurationError], tuple[list[Problem]]]:
+        return type(self), (self.problems,)
+
 
 class StepError(Exception):
     """What went wrong during a run: which part, when, and with what FMI status."""

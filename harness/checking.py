@@ -123,7 +123,7 @@ class _Check:
         """The whole check."""
         read = self._call(described, self._path, self._validation)
         if read.kind != "result":
-            return Checked(str(self._path), False, _reasons(read), unreadable=True)
+            return Checked(str(self._path), False, _reasons(read, self._path), unreadable=True)
         self._about: dict[str, Any] = read.value
         runnable, reasons = bool(self._about["runnable"]), tuple(self._about["reasons"])
         if not runnable:
@@ -207,9 +207,9 @@ def flags(found: list[Probed]) -> Probed:
     return Probed("flags", not broken, "; ".join(told))
 
 
-def _reasons(outcome: Outcome) -> tuple[str, ...]:
+def _reasons(outcome: Outcome, path: Path) -> tuple[str, ...]:
     if isinstance(outcome.error, ConfigurationError):
-        return tuple(str(problem) for problem in outcome.error.problems)
+        return tuple(str(problem).removeprefix(f"{path}: ") for problem in outcome.error.problems)
     return (f"reading it: {_failure(outcome)}",)
 
 

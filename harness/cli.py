@@ -188,7 +188,7 @@ def check(
     elif checked.runnable:
         print(*check_lines(checked), sep="\n")
     if not checked.runnable:
-        print(*checked.reasons, sep="\n", file=sys.stderr)
+        print(*(f"{fmu}: {reason}" for reason in checked.reasons), sep="\n", file=sys.stderr)
         raise typer.Exit(MISUSED)
     raise typer.Exit(FAILED if checked.failed else FINE)
 
