@@ -140,7 +140,9 @@ def test_every_problem_of_a_file_is_printed_with_its_place(crankbench, tmp_path)
     ]
 
 
-@pytest.mark.parametrize("command", ["campaigns", "run", "report", "compare", "build", "inspect", "check", "doctor", "schema"])
+@pytest.mark.parametrize(
+    "command", ["campaigns", "run", "report", "compare", "build", "inspect", "check", "doctor", "schema"]
+)
 def test_every_command_explains_itself(crankbench, command):
     code, out, _ = crankbench(command, "--help")
     assert code == 0
