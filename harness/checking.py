@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from fmus import probe
 from fmus.component import ConfigurationError
 from fmus.description import FmuKind, Validation, describe
-from fmus.probe import Answer, Subject
+from fmus.interview import Answer, Subject, subject
 from harness.worker import Limits, Outcome, Worker
 
 # A probe is given at most so many seconds' worth of steps, by the median step measured first.
@@ -105,7 +105,7 @@ def described(path: Path, validation: Validation) -> dict[str, Any]:
 
 def capabilities_as(path: Path, validation: Validation, kind: FmuKind) -> tuple[Mapping[str, Any], Subject]:
     """What an FMU declares of itself in a kind, and how it is to be stepped."""
-    return describe(path, validation).run_as(kind).capabilities, probe.subject(path, validation, kind)
+    return describe(path, validation).run_as(kind).capabilities, subject(path, validation, kind)
 
 
 class _Check:
