@@ -19,6 +19,15 @@ MOST_SCALARS = 1_000_000  # of all variables together, arrays counted by their p
 # What is read with the model description where it is there.
 _BUILD = "sources/buildDescription.xml"
 _TOKENS = {"1": "guid", "2": "guid", "3": "instantiationToken"}
+_OLD_TYPES = frozenset({"Real", "Integer", "Boolean", "String"})
+_TYPES = {
+    "1": _OLD_TYPES,
+    "2": _OLD_TYPES,
+    "3": frozenset(
+        {"Float32", "Float64", "Boolean", "String", "Binary", "Enumeration", "Clock"}
+        | {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)}
+    ),
+}
 _REFERENCES = range(1 << 32)
 _FILE_NAME = re.compile(r"[^\s./\\:][^/\\:\x00-\x1f]{0,199}")
 _MOST_TOLD = 20
@@ -49,10 +58,10 @@ def checked_description(folder: Path) -> None:
 
     Read event by event, so that neither depth, size nor entities cost anything. Refused are: no modelDescription.xml;
     what is no XML; a document type, and with it every entity; an unknown FMI version; no guid (FMI 3:
-    instantiationToken); value references that are missing, no numbers of 32 bits, or taken twice (in FMI 3 by any two
-    variables, in FMI 1 and 2 by two of one type that would be given values of their own, since aliases share one);
-    a modelIdentifier that is no file's name, so that it could lead elsewhere; arrays of more scalars than
-    `MOST_SCALARS`.
+    instantiationToken); a variable without a type that its version has; value references that are missing, no numbers
+    of 32 bits, or taken twice (in FMI 3 by any two variables, in FMI 1 and 2 by two of one type that would be given
+    values of their own, since aliases share one); a modelIdentifier that is no file's name, so that it could lead
+    elsewhere; arrays of more scalars than `MOST_SCALARS`.
 
     Raises ConfigurationError: with all of these that were found.
     """
@@ -64,6 +73,7 @@ def checked_description(folder: Path) -> None:
         _Reader(_BUILD).read(folder / _BUILD)
     problems = [*_head_problems(found.root, found.attributes)]
     if not problems:
+        problems += _type_problems(found.variables, found.attributes["fmiVersion"])
         problems += _reference_problems(found.variables, found.attributes["fmiVersion"])
         problems += _size_problems(found.variables)
         problems += _identifier_problems(found.identifiers)
@@ -168,6 +178,14 @@ def _head_problems(root: str, attributes: Mapping[str, str]) -> Iterable[str]:
     token = _TOKENS[version[0]]
     if token not in attributes:
         yield f"has no {token}, by which the binary would know that it belongs to this description"
+
+
+def _type_problems(variables: Iterable[_Variable], version: str) -> Iterable[str]:
+    known = _TYPES[version[0]]
+    for variable in variables:
+        if variable.type not in known:
+            got = f"'{variable.type}'" if variable.type else "none"
+            yield f"{variable.name} (line {variable.line}) wants a type of FMI {version[0]}, got {got}"
 
 
 def _identifier_problems(identifiers: Iterable[str]) -> Iterable[str]:

@@ -6,14 +6,17 @@ import importlib.util
 import tempfile
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
 from fmus.codegen import token
 from fmus.component import ConfigurationError
-from fmus.interface import declared_interface, with_starts
+from fmus.interface import Interface, declared_interface, with_starts
+from fmus.interface import interface as traced_interface
 from fmus.manifest import python_description
 from fmus.model import Model
+from fmus.tracing import TraceError, trace
 from fmus.whole import write_whole
 
 _SCRIPT = '''"""The slave of {name}: its equations are imported from the installed packages."""
@@ -51,7 +54,7 @@ def build_python_fmu(
     model: Model = getattr(importlib.import_module(module), attribute)
     identifier = model_identifier(model.name)
     starts = dict(overrides or {})
-    interface = with_starts(declared_interface(model), starts)
+    interface = with_starts(_interface(model), starts)
     script = _SCRIPT.format(name=model.name, module=module, attribute=attribute, identifier=identifier, starts=starts)
     path = Path(path)
     with tempfile.TemporaryDirectory() as folder:
@@ -67,3 +70,18 @@ def build_python_fmu(
                 new.writestr(entry.filename, described if entry.filename == "modelDescription.xml" else content)
         write_whole(path, replaced.read_bytes())
     return path
+
+
+def _interface(model: Model) -> Interface:
+    """The variables as declared, with what each depends on as far as that can be known.
+
+    Of a model that cannot be traced, only that a state depends on no input at once.
+    """
+    declared = declared_interface(model)
+    try:
+        known = [variable.dependencies for variable in traced_interface(trace(model)).variables]
+    except TraceError:
+        states = set(declared.block("X"))
+        known = [(reference,) if reference in states else None for reference in range(len(declared.variables))]
+    variables = (replace(v, dependencies=found) for v, found in zip(declared.variables, known, strict=True))
+    return replace(declared, variables=tuple(variables))

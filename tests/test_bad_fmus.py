@@ -132,6 +132,9 @@ DESCRIPTIONS = {
         'modelIdentifier="../../../../escaped"',
         "wants a modelIdentifier that can name the binary",
     ),
+    "no type": (2, '<Real start="2"[^>]*>', "", "x0 .line .* wants a type of FMI 2, got none"),
+    "type of another version": (3, '<Float64 name="x0"', '<Real name="x0"', "wants a type of FMI 3, got 'Real'"),
+    "start value no number": (2, 'start="2"', 'start="two"', "x0 wants numbers, got 'two'"),
     "neither kind": (2, "<ModelExchange.*</CoSimulation>", "", "neither Co-Simulation nor Model Exchange"),
 }
 

@@ -11,6 +11,7 @@ from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
 from fmus.component import Signal
+from fmus.description import describe
 from fmus.export import build_fmu
 from fmus.model import Model, ModelError
 from fmus.plants.driveline import MODEL as DRIVELINE
@@ -74,6 +75,15 @@ def test_units_and_kinds_are_described_as_in_the_native_export(tmp_path: Path) -
     assert listed(python) == listed(native)
     assert python.modelExchange is None
     assert python.coSimulation.needsExecutionTool
+
+
+def test_what_depends_on_what_is_described_as_in_the_native_export(tmp_path: Path) -> None:
+    paths = [build_python_fmu("fmus.plants.driveline", "MODEL", tmp_path / "p.fmu")]
+    paths.append(build_fmu(DRIVELINE, tmp_path / "native.fmu"))
+    python, native = (describe(path).dependencies for path in paths)
+    assert python == native and native
+    untraced = build_python_fmu("tests.test_python_export", "PENDULUM", tmp_path / "pendulum.fmu")
+    assert describe(untraced).dependencies == {"theta": frozenset({"theta"}), "omega": frozenset({"omega"})}
 
 
 def test_a_start_value_of_no_variable_is_refused(tmp_path: Path) -> None:
