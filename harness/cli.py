@@ -201,7 +201,11 @@ def _check_folder(folder: Path, page: Path | None, manner: Manner, as_json: bool
     def tell(checked: Checked, number: int, total: int) -> None:
         print(survey_line(checked, number, total), file=stream, flush=True)
 
-    checked = survey(folder, manner, tell)
+    try:
+        checked = survey(folder, manner, tell)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED) from None
     content = survey_json(folder, checked, manner)
     if as_json:
         _print_json(content)

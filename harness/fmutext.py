@@ -37,12 +37,18 @@ def inspection_lines(content: Mapping[str, Any]) -> Iterator[str]:
     """A description: what the FMU is, its capabilities and variables, and what would stand in the way."""
     for key in ("model_name", "fmi_version", "kinds", "tool", "platforms", "sha256"):
         yield f"{key.replace('_', ' '):<12} {words(content.get(key))}".rstrip()
-    yield "capabilities " + words([f"{name}={value}" for name, value in content["capabilities"].items()])
+    declared = content["capabilities"].items()
+    yield "declares     " + (words([_capability(name, value) for name, value in declared if value]) or "nothing")
+    yield "does not     " + (words([name for name, value in declared if value is False]) or "nothing")
     columns = ("name", "causality", "variability", "type", "unit", "start")
     rows = [[words(variable.get(column)) for column in columns] for variable in content["variables"]]
     yield from table(columns, rows)
     yield from (f"caution: {caution}" for caution in content.get("cautions", ()))
     yield "runnable" if content["runnable"] else "not runnable: " + "; ".join(content["reasons"])
+
+
+def _capability(name: str, value: Any) -> str:
+    return name if value is True else f"{name} = {value}"
 
 
 def table(head: tuple[str, ...], rows: list[list[str]]) -> Iterator[str]:
