@@ -14,7 +14,7 @@ from fmus.binary import misfit
 from fmus.clocks import Clock
 from fmus.component import ConfigurationError, Problem
 from fmus.exchange import solver_missing
-from fmus.library import missing_libraries
+from fmus.library import exported_names, missing_libraries
 from fmus.modeltext import FmuKind, Offer, Validation, read_model_text
 from fmus.sources import Build
 from fmus.toolchain import FMI3_PLATFORMS, library_suffix, native_platform
@@ -161,7 +161,7 @@ def _described(folder: Path, sha256: str, validation: Validation) -> FmuDescript
             library,
             build,
             capabilities,
-            (*_reasons(offer.kind, library, platforms, build, folder), *_clock_reasons(offer, text.clocks)),
+            (*_reasons(offer, version, library, platforms, build, folder), *_clock_reasons(offer, text.clocks)),
             (*_cautions(offer.kind, capabilities, text.variables), *_clock_cautions(text.clocks)),
         )
     chosen_kind = next(iter(interfaces))
@@ -236,9 +236,28 @@ def _clock_cautions(clocks: tuple[Clock, ...]) -> tuple[str, ...]:
     return (f"its triggered clocks are never ticked: {', '.join(still)}",) if still else ()
 
 
+# The functions without which nothing is run, by version and kind; those for types of values come beside them.
+_FUNCTIONS = {
+    (1, "cs"): ("InstantiateSlave", "InitializeSlave", "DoStep", "TerminateSlave", "FreeSlaveInstance"),
+    (1, "me"): ("InstantiateModel", "Initialize", "GetDerivatives", "EventUpdate", "FreeModelInstance"),
+    (2, "cs"): ("Instantiate", "SetupExperiment", "EnterInitializationMode", "DoStep", "FreeInstance"),
+    (2, "me"): ("Instantiate", "SetupExperiment", "GetDerivatives", "NewDiscreteStates", "FreeInstance"),
+    (3, "cs"): ("InstantiateCoSimulation", "EnterInitializationMode", "DoStep", "FreeInstance"),
+    (3, "me"): ("InstantiateModelExchange", "GetContinuousStateDerivatives", "UpdateDiscreteStates", "FreeInstance"),
+}
+
+
+def _lacking_functions(library: Path, kind: FmuKind, version: int, identifier: str) -> list[str]:
+    """Functions that a library does not export and that nothing runs without; empty where its names are not read."""
+    names = exported_names(library)
+    prefix = f"{identifier}_fmi" if version == 1 else f"fmi{version}"
+    return [prefix + name for name in _FUNCTIONS.get((version, kind), ()) if names and prefix + name not in names]
+
+
 def _reasons(
-    kind: FmuKind, library: Path | None, platforms: tuple[str, ...], build: Build | None, folder: Path
+    offer: Offer, version: int, library: Path | None, platforms: tuple[str, ...], build: Build | None, folder: Path
 ) -> tuple[str, ...]:
+    kind, identifier = offer.kind, offer.identifier
     reasons = []
     if kind == "se":
         reasons.append("it offers Scheduled Execution alone, which is not run")
@@ -253,8 +272,10 @@ def _reasons(
         reasons.append(wrong)
     elif missing := missing_libraries(library, folder):
         reasons.append(f"its binary wants {', '.join(missing)}, neither installed nor shipped in it")
-    if kind == "me" and (lacking := solver_missing()):
-        reasons.append(lacking)
+    elif lacking := _lacking_functions(library, kind, version, identifier):
+        reasons.append(f"its binary lacks functions of the standard: {', '.join(lacking)}")
+    if kind == "me" and (unsolvable := solver_missing()):
+        reasons.append(unsolvable)
     return tuple(reasons)
 
 

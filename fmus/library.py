@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
 import re
 import shutil
 import struct
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +28,8 @@ _NOT_FOUND = (
 _ALWAYS = frozenset(
     f"lib{name}" for name in ("c.so.6", "m.so.6", "pthread.so.0", "dl.so.2", "rt.so.1", "gcc_s.so.1", "stdc++.so.6")
 ) | {"ld-linux-x86-64.so.2", "ld-linux-aarch64.so.1", "linux-vdso.so.1"}
-_DYNAMIC, _NEEDED, _DYNAMIC_STRINGS, _LOAD = 2, 1, 5, 1
+_ELF64 = b"\x7fELF\x02\x01"
+_DYNAMIC, _NEEDED, _DYNAMIC_STRINGS, _LOAD, _DYNAMIC_SYMBOLS = 2, 1, 5, 1, 11
 
 
 class Library:
@@ -150,19 +154,50 @@ def missing_libraries(path: Path, folder: Path) -> list[str]:
 
 def wanted_libraries(path: Path) -> list[str]:
     """The libraries that a 64-bit ELF library names as needed, in its order; empty for any other file."""
-    data = path.read_bytes()
-    try:
-        if data[:6] != b"\x7fELF\x02\x01":
+    with _mapped(path) as data:
+        try:
+            if data[:6] != _ELF64:
+                return []
+            (headers,) = struct.unpack_from("<Q", data, 32)
+            size, count = struct.unpack_from("<HH", data, 54)
+            segments = [struct.unpack_from("<IIQQQQ", data, headers + i * size) for i in range(count)]
+            loads = [(address, offset, length) for kind, _, offset, address, _, length in segments if kind == _LOAD]
+            dynamic = next((offset, length) for kind, _, offset, _, _, length in segments if kind == _DYNAMIC)
+            entries = [struct.unpack_from("<qQ", data, dynamic[0] + i) for i in range(0, dynamic[1], 16)]
+            strings = next(value for tag, value in entries if tag == _DYNAMIC_STRINGS)
+            begin = next(strings - a + offset for a, offset, length in loads if a <= strings < a + length)
+            return [_text(data, begin + value) for tag, value in entries if tag == _NEEDED]
+        except (struct.error, StopIteration, ValueError):
             return []
-        (headers,) = struct.unpack_from("<Q", data, 32)
-        size, count = struct.unpack_from("<HH", data, 54)
-        segments = [struct.unpack_from("<IIQQQQ", data, headers + i * size) for i in range(count)]
-        loads = [(address, offset, length) for kind, _, offset, address, _, length in segments if kind == _LOAD]
-        dynamic = next((offset, length) for kind, _, offset, _, _, length in segments if kind == _DYNAMIC)
-        entries = [struct.unpack_from("<qQ", data, dynamic[0] + i) for i in range(0, dynamic[1], 16)]
-        strings = next(value for tag, value in entries if tag == _DYNAMIC_STRINGS)
-        begin = next(strings - a + offset for a, offset, length in loads if a <= strings < a + length)
-        places = [begin + value for tag, value in entries if tag == _NEEDED]
-        return [data[place : data.index(b"\0", place)].decode(errors="replace") for place in places]
-    except (struct.error, StopIteration, ValueError):
-        return []
+
+
+def exported_names(path: Path) -> frozenset[str]:
+    """The names that a 64-bit ELF library gives to others; empty where they cannot be read."""
+    with _mapped(path) as data:
+        try:
+            if data[:6] != _ELF64:
+                return frozenset()
+            (table,) = struct.unpack_from("<Q", data, 40)
+            size, count = struct.unpack_from("<HH", data, 58)
+            sections = [struct.unpack_from("<IIQQQQIIQQ", data, table + i * size) for i in range(count)]
+            _, _, _, _, begin, length, link, _, _, entry = next(s for s in sections if s[1] == _DYNAMIC_SYMBOLS)
+            strings = sections[link][4]
+            symbols = (struct.unpack_from("<IBBH", data, place) for place in range(begin, begin + length, entry))
+            return frozenset(_text(data, strings + name) for name, info, _, home in symbols if home and info >> 4)
+        except (struct.error, StopIteration, ValueError, IndexError):
+            return frozenset()
+
+
+@contextmanager
+def _mapped(path: Path) -> Iterator[mmap.mmap | bytes]:
+    with path.open("rb") as file:
+        if not path.stat().st_size:
+            yield b""
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
+
+
+def _text(data: mmap.mmap | bytes, place: int) -> str:
+    end = data.find(b"\0", place)
+    return data[place:end].decode(errors="replace")

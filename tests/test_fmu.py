@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from scipy.integrate import solve_ivp
 from third_party import reference_fmu, third_party_fmu
 
 from fmus.component import DISCARD, ERROR, Component, ConfigurationError, StepError, Vector
+from fmus.description import forget
 from fmus.fmu import FmuComponent, describe, load_fmu
-from fmus.toolchain import native_platform
+from fmus.toolchain import cache_folder, compile_shared, library_suffix, native_platform
 
 MODELS = [(model, fmi) for model in ("VanDerPol", "Dahlquist", "BouncingBall", "Stair") for fmi in (2, 3)]
 STEPS = {"VanDerPol": 0.05, "Dahlquist": 0.1, "BouncingBall": 0.01, "Stair": 0.2}
@@ -314,3 +316,26 @@ def test_an_fmus_complaint_reaches_the_error_and_the_log(fmi: int, capfd: pytest
     assert [(message.time, message.status) for message in component.log] == [(5.0, ERROR)]
     component.close()
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(native_platform() != "linux64", reason="names are read of ELF files alone")
+def test_a_binary_that_lacks_functions_is_a_reason_that_names_them(tmp_path: Path):
+    library = compile_shared('__attribute__((visibility("default"))) int fmi2Instantiate(void) { return 0; }')
+    path = tmp_path / "lacking.fmu"
+    with zipfile.ZipFile(reference_fmu("Dahlquist")) as source, zipfile.ZipFile(path, "w") as target:
+        target.writestr("modelDescription.xml", source.read("modelDescription.xml"))
+        target.write(library, f"binaries/{native_platform()}/Dahlquist{library_suffix()}")
+    (reason,) = describe(path).reasons
+    assert reason.startswith("its binary lacks functions of the standard: fmi2SetupExperiment, ")
+    assert "fmi2Instantiate" not in reason
+
+
+def test_what_a_description_says_is_the_same_when_it_was_kept():
+    path = reference_fmu("StateSpace", 3)
+    describe(path)
+    forget()
+    kept = describe(path)
+    forget()
+    for file in (cache_folder() / "descriptions").glob(f"{kept.sha256}-*"):
+        file.unlink()
+    assert describe(path) == kept
