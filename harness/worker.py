@@ -300,5 +300,5 @@ def _context() -> Any:
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["harness.cases"])
+    context.set_forkserver_preload(["harness.cases", "fmpy.model_description"])
     return context
