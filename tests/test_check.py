@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from deceiver import deceiver, faults
-from third_party import reference_fmu, third_party_fmu
+from third_party import OPENMODELICA, pythonfmu3_fmu, pythonfmu_fmu, reference_fmu, third_party_fmu
 
 from fmus.export import cached_fmu
 from fmus.plants import driveline
@@ -99,6 +100,19 @@ def test_our_own_exports_pass_every_probe_in_both_kinds(fmi: int):
 @pytest.mark.parametrize("model", ["VanDerPol", "Dahlquist", "BouncingBall", "Feedthrough", "Stair"])
 def test_the_reference_fmus_fail_no_probe(model: str, fmi: int):
     checked = check(reference_fmu(model, fmi), 30.0)
+    assert (checked.runnable, checked.failed) == (True, [])
+
+
+@pytest.mark.parametrize("model", ["MassSpringSystem", "Mass_Damper", "add", "ramp"])
+def test_fmus_of_openmodelica_fail_no_probe(model: str):
+    checked = check(third_party_fmu(f"{model}.fmu", OPENMODELICA), 30.0)
+    assert (checked.runnable, checked.failed) == (True, [])
+    assert {found.kind for found in checked.probes} == {"cs", "me"}
+
+
+@pytest.mark.parametrize("made", [pythonfmu_fmu, pythonfmu3_fmu])
+def test_fmus_with_python_inside_fail_no_probe(tmp_path: Path, made: Callable[[Path], Path]):
+    checked = check(made(tmp_path), 30.0)
     assert (checked.runnable, checked.failed) == (True, [])
 
 

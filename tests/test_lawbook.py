@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from lawbook import Course, check_component
-from third_party import reference_fmu
+from third_party import OPENMODELICA, pythonfmu3_fmu, pythonfmu_fmu, reference_fmu, third_party_fmu
 
 from fmus.component import Component, Role, Signal, StepError, Vector
 from fmus.export import cached_fmu
@@ -53,6 +53,24 @@ def test_exported_models_keep_the_laws(name: str, fmi: int, kind: str):
 def test_the_reference_fmus_keep_the_laws(model: str, fmi: int, kind: str):
     path = reference_fmu(model, fmi)
     check_component(lambda: load_fmu(path, kind=kind), Course(REFERENCE[model]))
+
+
+@pytest.mark.parametrize("kind", ["cs", "me"])
+@pytest.mark.parametrize("model", ["MassSpringSystem", "MassSpringSubSystem1", "Mass_Damper", "add", "ramp"])
+def test_fmus_of_openmodelica_keep_the_laws(model: str, kind: str):
+    path = third_party_fmu(f"{model}.fmu", OPENMODELICA)
+    check_component(lambda: load_fmu(path, kind=kind), Course(0.002))
+
+
+def test_fmus_of_pythonfmu_keep_the_laws(tmp_path: Path):
+    path = pythonfmu_fmu(tmp_path)
+    check_component(lambda: load_fmu(path), Course(0.01))
+
+
+@pytest.mark.parametrize("kind", ["cs", "me"])
+def test_fmus_of_pythonfmu3_keep_the_laws(tmp_path: Path, kind: str):
+    path = pythonfmu3_fmu(tmp_path)
+    check_component(lambda: load_fmu(path, kind=kind), Course(0.01))
 
 
 def parts() -> list[tuple[str, str]]:
