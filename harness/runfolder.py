@@ -180,6 +180,7 @@ def write_campaign(folder: Path, campaign: Campaign) -> None:
         "order": first.get("order", []),
         "held": first.get("held", []),
         "experiments": as_written.get("experiments") or {},
+        "validation": as_written.get("validation", "warn"),
         "metrics": {
             name: {**raw, "meaning": meanings[name]["meaning"]}
             for name, raw in (as_written.get("metrics") or {}).items()

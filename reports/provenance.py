@@ -46,6 +46,7 @@ def facts(run: Run) -> list[tuple[str, str]]:
         ("commit", str(campaign.get("commit") or "not recorded")),
         ("platform", _words(campaign.get("platform")) or "not recorded"),
         ("versions", versions or "not recorded"),
+        ("validation of FMUs", str(campaign.get("validation") or "not recorded")),
         ("seeds", ranges(campaign.get("seeds")) or "not recorded"),
         ("clock", _words(campaign.get("clock")) or "not recorded"),
         ("wall time", f"{duration(wall)} in all cases together" if wall else "not recorded"),

@@ -14,7 +14,7 @@ from fmus.fmu import describe, load_fmu
 from harness.campaign import read_campaign
 from harness.cases import execute
 from reports.folder import read_run
-from reports.provenance import tolerated
+from reports.provenance import facts, tolerated
 
 RULE = "colour"  # an attribute that the standard knows nothing of
 CAMPAIGN = """\
@@ -63,6 +63,7 @@ def test_what_is_tolerated_stands_in_the_case_and_in_the_reports_provenance(tmp_
     assert any(RULE in warning["text"] and warning["part"] == "plant" for warning in case["warnings"])
     rows = [row for row in tolerated(read_run(folder)) if RULE in row.message]
     assert [row.cases for row in rows] == [1]
+    assert ("validation of FMUs", "warn") in facts(read_run(folder))
     assert rows[0].message.startswith("plant, tolerated: ")
 
 
