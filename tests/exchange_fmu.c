@@ -116,7 +116,12 @@ API int fmi2SetDebugLogging(void *i, int on, size_t n, const char *const *names)
 API int fmi2SetupExperiment(void *i, int a, double b, double t0, int c, double d) { THIS; (void)a; (void)b; (void)c; (void)d; note('x'); m->time = t0; return OK; }
 API int fmi2EnterInitializationMode(void *i) { (void)i; note('['); return OK; }
 API int fmi2ExitInitializationMode(void *i) { (void)i; note(']'); return OK; }
-API int fmi2Reset(void *i) { (void)i; return OK; }
+API int fmi2Reset(void *i) {
+    THIS;
+    Callbacks callbacks = m->callbacks;
+    *m = (Instance){.callbacks = callbacks, .v[R] = 0.5, .next = 0.25};
+    return OK;
+}
 API int fmi2EnterEventMode(void *i) { (void)i; note('e'); return OK; }
 API int fmi2EnterContinuousTimeMode(void *i) { (void)i; note('c'); return OK; }
 API int fmi2NewDiscreteStates(void *i, Info *info) {

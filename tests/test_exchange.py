@@ -196,6 +196,15 @@ def test_a_start_forgets_all_that_went_before(tmp_path: Path):
     assert all(np.array_equal(first[name], again[name]) for name in first)
 
 
+def test_a_reset_instance_runs_as_a_fresh_one(tmp_path: Path):
+    component = load_fmu(exchange_fmu(tmp_path, 2))
+    u = np.arange(30.0)[:, None]
+    first = trajectory(component, 0.01, 30, u)
+    rows = [component.restart(0.0, u[0]), *(component.step(k * 0.01, 0.01, u[k]) for k in range(30))]
+    component.close()
+    assert np.array_equal(np.array(rows), np.array(list(first.values())).T)
+
+
 def test_what_is_model_exchange_alone_is_run_without_being_asked(tmp_path: Path):
     description = describe(exchange_fmu(tmp_path, 2))
     assert (description.kinds, description.kind, description.runnable) == (("me",), "me", True)
