@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -163,10 +164,10 @@ def _run_all(
         if outcome.value != "unchanged" or worker.calls >= CASES_A_WORKER:
             worker.close()
 
-    ended = crew.each(run_one, cases)
-    for number, case in enumerate(ended, start=len(campaign.cases) - len(cases) + 1):
-        content = read_case(folder, case.key)
-        tell(Ended(case, content["outcome"], content["message"], number, len(campaign.cases), reused=False))
+    with closing(crew.each(run_one, cases)) as ended:
+        for number, case in enumerate(ended, start=len(campaign.cases) - len(cases) + 1):
+            content = read_case(folder, case.key)
+            tell(Ended(case, content["outcome"], content["message"], number, len(campaign.cases), reused=False))
 
 
 def _finished(folder: Path, case: Case) -> bool:

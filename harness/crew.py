@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from queue import SimpleQueue
 from typing import Self, TypeVar
@@ -27,11 +27,11 @@ class Crew:
         """True once the block is being left while calls are still running."""
         return self._stopping.is_set()
 
-    def each(self, do: Callable[[Task, Worker], None], tasks: Iterable[Task]) -> Iterator[Task]:
+    def each(self, do: Callable[[Task, Worker], None], tasks: Iterable[Task]) -> Generator[Task, None, None]:
         """The tasks, as `do(task, worker)` comes to an end for each, as many at a time as there are workers.
 
         `do` runs in a thread of its own. What it raises comes through here, as does KeyboardInterrupt; then, too, calls
-        that still run are ended.
+        that still run are ended; so they are when the generator is closed early, which the caller has to see to.
         """
 
         def with_a_worker(task: Task) -> None:
@@ -58,5 +58,6 @@ class Crew:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._stopping.set()
         for worker in self.workers:
             worker.close()
