@@ -45,8 +45,7 @@ Tier = Annotated[
 
 
 def main() -> None:
-    """Run the command line and exit with # FAILED is a case or a criterion, MISUSED usage or configuration.
-    FINE, FAILED, MISUSED or INTERRUPTED."""
+    """Run the command line and exit with FINE, FAILED (a case or a criterion), MISUSED (usage) or INTERRUPTED."""
     try:
         app()
     except ConfigurationError as error:
@@ -56,6 +55,9 @@ def main() -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    except SystemExit as ended:
+        # Typer makes an exit with 1 of an interrupt that reaches it.
+        raise SystemExit(INTERRUPTED) if isinstance(ended.__context__, typer.Abort) else ended
 
 
 @app.callback(invoke_without_command=True)
