@@ -57,7 +57,9 @@ def main() -> None:
         sys.exit(INTERRUPTED)
     except SystemExit as ended:
         # Typer makes an exit with 1 of an interrupt that reaches it.
-        raise SystemExit(INTERRUPTED) if isinstance(ended.__context__, typer.Abort) else ended
+        if not isinstance(ended.__context__, typer.Abort):
+            raise
+        sys.exit(INTERRUPTED)
 
 
 @app.callback(invoke_without_command=True)
