@@ -237,3 +237,19 @@ def test_the_older_fmu_of_pythonfmu3_counts_its_steps_and_turns_its_array(ran: M
     assert np.array_equal(signals["plant.output"], 3.0 + n)
     for place in range(5):
         assert np.array_equal(signals[f"plant.vector[{place + 1}]"], (place - n) % 5)
+
+
+@pytest.mark.slow
+def test_check_puts_its_probes_to_all_of_them(tmp_path: Path):
+    folder = tmp_path / "fmus"
+    folder.mkdir()
+    for one in TRIES:
+        (folder / f"{one.name}.fmu").write_bytes(path_of(one.name, tmp_path).read_bytes())
+    command = [sys.executable, "-m", "harness", "check", str(folder), "--json"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    found = {Path(one["fmu"]).stem: one for one in json.loads(result.stdout)["fmus"]}
+    assert found.keys() == {one.name for one in TRIES}
+    for name, one in found.items():
+        passed = {probe["name"]: probe["passed"] for probe in one["probes"]}
+        print(name, [probe for probe, outcome in passed.items() if outcome is False])
+        assert one["runnable"] and any(outcome is True for outcome in passed.values()), name
