@@ -113,7 +113,7 @@ class Worker:
         stopped: Callable[[], bool] = lambda: False,
     ) -> Outcome:
         """How a call ended; InterruptedError where `stopped` became true meanwhile, and the worker is gone."""
-        if self._process is None or connection.wait([self._process.sentinel], 0):
+        if self._process is None or self._exit_code() is not None:
             self.close()
             self._start()
         self._noise.forget()
@@ -206,13 +206,14 @@ class Worker:
         return self._noise.text()
 
     def _exit_code(self) -> int | None:
+        """How the process ended, None while it runs. Unlike its sentinel, this may be asked for more than once."""
         with _PROCESSES:
             code: int | None = self._process.exitcode
             return code
 
     def _end(self) -> None:
         """Kill the process with all of its group, and wait until it is gone."""
-        alive = not connection.wait([self._process.sentinel], 0)
+        alive = self._exit_code() is None
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         if alive:  # it may not lead a group yet
