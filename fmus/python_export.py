@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
+import os
+import subprocess
+import sys
 import tempfile
 import zipfile
 from collections.abc import Mapping
@@ -47,8 +51,6 @@ def build_python_fmu(
     """
     if importlib.util.find_spec("pythonfmu") is None:
         raise ConfigurationError("an FMU with Python inside wants PythonFMU: pip install pythonfmu")
-    from pythonfmu import FmuBuilder
-
     from fmus.export import model_identifier
 
     model: Model = getattr(importlib.import_module(module), attribute)
@@ -61,7 +63,7 @@ def build_python_fmu(
         # Python knows a module by its name: two FMUs in one process must not share it unless they are the same.
         source = Path(folder) / f"{identifier}_{token(script)[1:9]}.py"
         source.write_text(script)
-        packed = Path(FmuBuilder.build_FMU(source, dest=Path(folder) / "packed.fmu"))
+        packed = _pack(source, module)
         described = python_description(interface, identifier, token(script), version("crankbench"))
         replaced = Path(folder) / "described.fmu"
         with zipfile.ZipFile(packed) as old, zipfile.ZipFile(replaced, "w", zipfile.ZIP_DEFLATED) as new:
@@ -70,6 +72,32 @@ def build_python_fmu(
                 new.writestr(entry.filename, described if entry.filename == "modelDescription.xml" else content)
         write_whole(path, replaced.read_bytes())
     return path
+
+
+def _pack(source: Path, module: str) -> Path:
+    """The FMU that PythonFMU packs of a script, in a process of its own: it imports the script to read its variables.
+
+    Raises ConfigurationError: PythonFMU refused; the message is its own.
+    """
+    command = [sys.executable, "-m", "pythonfmu", "build", "-f", str(source), "-d", str(source.parent)]
+    # The packages and the module are found where this process found them, and nothing else that it gathered since.
+    found = [_folder_of(name.partition(".")[0]) for name in (__name__, module)]
+    paths = os.pathsep.join([*dict.fromkeys(found), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
+    done = subprocess.run(command, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=False)
+    made = next(iter(sorted(source.parent.glob("*.fmu"))), None)
+    if done.returncode or made is None:
+        raise ConfigurationError(f"PythonFMU cannot pack {module}: {done.stderr.strip() or done.stdout.strip()}")
+    return made
+
+
+def _folder_of(name: str) -> str:
+    """The folder that a module or package of that name lies in."""
+    spec = importlib.util.find_spec(name)
+    if spec is None:
+        raise ConfigurationError(f"no module is named '{name}'")
+    if spec.submodule_search_locations:
+        return str(Path(next(iter(spec.submodule_search_locations))).resolve().parent)
+    return str(Path(spec.origin or "").resolve().parent)
 
 
 def _interface(model: Model) -> Interface:

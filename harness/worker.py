@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -34,6 +35,8 @@ LOOK = 0.03
 # How long a worker may take to come up, and its remains to go [s].
 COMING_UP, GOING = 120.0, 5.0
 GIBIBYTE = 2.0**30
+# The path of a socket has 108 bytes on Linux, and 104 on macOS; the server's own names take 34 of them.
+LONGEST_SOCKET_FOLDER = 68
 # Stages in which no code of an FMU runs: the limit for one step does not hold there.
 OWN_STAGES = ("", "wiring", "writing")
 # Processes are started and waited for one at a time: multiprocessing looks after those of all threads.
@@ -298,7 +301,9 @@ def _context() -> Any:
     """Fresh processes that know nothing of the parent's threads; forked from a warm one where the platform can."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    if "forkserver" not in multiprocessing.get_all_start_methods():
+    # The server is reached by a socket in the folder for temporary files; the path of a socket has little room.
+    too_long = len(os.fsencode(tempfile.gettempdir())) > LONGEST_SOCKET_FOLDER
+    if "forkserver" not in multiprocessing.get_all_start_methods() or too_long:
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["harness.cases", "fmpy.model_description"])
