@@ -142,7 +142,7 @@ class Worker:
             except (EOFError, OSError):
                 dead = dead or bool(connection.wait([self._process.sentinel], GOING))
             if done is None and dead:
-                done = Outcome("crash", message=watch.cause(self._exit_code()))
+                done = Outcome("crash", message=watch.cause(self._ended_with()))
             if done is None:
                 done = watch.look()
             if done is None and stopped():
@@ -213,6 +213,15 @@ class Worker:
         with _PROCESSES:
             code: int | None = self._process.exitcode
             return code
+
+    def _ended_with(self) -> int | None:
+        """The exit code of a process that is going: its pipes may close an instant before the system knows the code."""
+        until = time.monotonic() + GOING
+        code = self._exit_code()
+        while code is None and time.monotonic() < until:
+            time.sleep(1e-3)
+            code = self._exit_code()
+        return code
 
     def _end(self) -> None:
         """Kill the process with all of its group, and wait until it is gone."""
