@@ -122,22 +122,24 @@ static bool is_plain(const char *format)
     return !conversion && !strchr(format, '%');
 }
 
+/* A message of FMI 1 or 2 into the log: a format and its arguments. */
+static void note(Slave *slave, int status, const char *category, const char *format, va_list arguments)
+{
+    Entry *entry = new_entry(slave, status, category);
+    int length = !format || is_plain(format) ? snprintf(entry->message, MESSAGE_SIZE, "%s", format ? format : "")
+                                             : vsnprintf(entry->message, MESSAGE_SIZE, format, arguments);
+    mark_cut(entry, length);
+}
+
 EXPORT void fmi2_log(void *slave, const char *instance, int status, const char *category, const char *format, ...)
 {
     (void)instance;
     if (!slave)
         return;
-    Entry *entry = new_entry(slave, status, category);
-    int length;
-    if (!format || is_plain(format)) {
-        length = snprintf(entry->message, MESSAGE_SIZE, "%s", format ? format : "");
-    } else {
-        va_list arguments;
-        va_start(arguments, format);
-        length = vsnprintf(entry->message, MESSAGE_SIZE, format, arguments);
-        va_end(arguments);
-    }
-    mark_cut(entry, length);
+    va_list arguments;
+    va_start(arguments, format);
+    note(slave, status, category, format, arguments);
+    va_end(arguments);
 }
 
 EXPORT void fmi3_log(void *slave, int status, const char *category, const char *message)

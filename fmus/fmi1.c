@@ -35,17 +35,10 @@ EXPORT void fmi1_log(void *instance, const char *name, int status, const char *c
             slave = listeners[i];
     if (!slave)
         return;
-    Entry *entry = new_entry(slave, status, category);
-    int length;
-    if (!format || is_plain(format)) {
-        length = snprintf(entry->message, MESSAGE_SIZE, "%s", format ? format : "");
-    } else {
-        va_list arguments;
-        va_start(arguments, format);
-        length = vsnprintf(entry->message, MESSAGE_SIZE, format, arguments);
-        va_end(arguments);
-    }
-    mark_cut(entry, length);
+    va_list arguments;
+    va_start(arguments, format);
+    note(slave, status, category, format, arguments);
+    va_end(arguments);
 }
 
 static int do_step1(Slave *slave, double t, double h)
