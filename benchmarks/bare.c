@@ -43,8 +43,9 @@ EXPORT int run_bare(const Fmu *plant, const Fmu *observer, Step source, void *so
                     void *sensor_self, int64_t steps, double h, double rpm, double *rows) {
     for (int64_t k = 0; k < steps; k++) {
         const double t = (double)k * h;
-        double *row = rows + 11 * k, measured[2];
+        double *row = rows + 12 * k, measured[2];
         int location, status;
+        *row++ = (double)(k + 1) * h;
         status = source(source_self, t, h, NULL, row);
         status |= plant->set_real(plant->instance, plant->inputs, 1, row);
         status |= plant->do_step(plant->instance, t, h, 1);

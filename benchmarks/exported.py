@@ -101,7 +101,7 @@ def _in_the_loop(use: str, unit: str, steps: int) -> tuple[Callable[[], float], 
     def timed() -> float:
         with wire(scenario) as system:
             started = StartedSystem(system)
-            rows = np.empty((steps, len(system.recorded)))
+            rows = np.empty((steps, 1 + len(system.recorded)))
             begin = time.process_time()
             reached = started.advance(0, steps, rows)
             elapsed = time.process_time() - begin

@@ -24,6 +24,7 @@ JUMP = 2000  # the step from which the torque acts
 DEMANDS = {"delay": "10 ms", "dwell": "100 ms", "rate": "5 1/s"}
 RPM = parse_unit("rpm").factor
 COLUMNS = 11
+ROW = 1 + COLUMNS  # time and signals
 
 
 def plant_and_two_native_parts(steps: int) -> System:
@@ -59,7 +60,7 @@ def beside_bare_c(steps: int = 20_000, rounds: int = 100) -> Measure:
 
     Raises RuntimeError: the rows of the two are not equal bit for bit.
     """
-    ours_rows, peer_rows = np.empty((steps, COLUMNS)), np.empty((steps, COLUMNS))
+    ours_rows, peer_rows = np.empty((steps, ROW)), np.empty((steps, ROW))
     plant, observer = _direct_fmus()
     bare = bare_library()
     with plant_and_two_native_parts(steps) as system:

@@ -81,7 +81,8 @@ class Model:
     p `parameters`. `above.name` is 1 where the indicator is positive and 0 where it is negative;
     at z = 0 the sign of dz/dt decides. `transition` and `sample` return only what changes.
     A sampled model updates at the end of a step with that step's inputs, so an estimate in m is
-    x(k|k). `sample_time` names the parameter that holds the period, in s.
+    x(k|k). `sample_time` names the parameter that holds the period, in s; a period of 0 stands for each communication
+    step, as on a clock in crank angle, and is for Co-Simulation only.
     Discrete states that `transition` assigns are computed at initialisation; others begin at
     their start value. The solver settings are the exported FMU's defaults.
     """

@@ -116,9 +116,9 @@ class ModelSlave(Fmi2Slave):
         """From `current_time` over `step_size` [s]: RK4 between located events and sampling instants."""
         end = current_time + step_size
         t = current_time
-        while self.model.sample is not None:
+        while self.model.sample is not None and t < end:
             period = self.values[self._reference(self.model.sample_time)]
-            due = self.start_time + (self.samples + 1) * period
+            due = self.start_time + (self.samples + 1) * period if period else end
             if due > end + 1e-6 * period:
                 break
             self._integrate(t, min(due, end))

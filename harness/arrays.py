@@ -7,37 +7,41 @@ from collections.abc import Mapping, Sequence
 
 from fmus.component import Component
 from harness.findings import Findings
+from harness.scenario import WireSpec
 
 _SCALAR = re.compile(r"(?P<array>.+)\[(?P<index>[\d,]+)\]$")
 
 
 def spread(
-    given: Mapping[str, str],
+    given: Mapping[str, WireSpec],
     component: Component,
     sources: Mapping[str, Component],
     found: Findings,
-) -> dict[str, str]:
+) -> dict[str, WireSpec]:
     """The wires `given` by input, with each wire between arrays spread over their scalars; the others as they are.
 
     A problem where the arrays are not of one shape, or where only one side is an array.
     """
     arrays = _arrays([signal.name for signal in component.inputs])
-    wires: dict[str, str] = {}
-    for name, text in given.items():
+    wires: dict[str, WireSpec] = {}
+    for name, spec in given.items():
         if name not in arrays:
-            wires[name] = text
+            wires[name] = spec
             continue
+        text = spec.source
         part, _, output = text.partition(".")
         wanted = arrays[name]
         if part not in sources:
-            wires |= {f"{name}[{index}]": text for index in wanted}
+            wires |= {f"{name}[{index}]": spec for index in wanted}
             continue
         offered = _arrays([signal.name for signal in sources[part].outputs]).get(output)
         if offered is None:
             found.at(name).add(f"wants {_size(wanted)}, got the single value {text}; wire {name}[{wanted[0]}] ...")
         elif offered != wanted:
             found.at(name).add(f"wants {_size(wanted)}, got {_size(offered)} from {text}")
-        wires |= {f"{name}[{index}]": f"{text}[{index}]" if offered == wanted else "" for index in wanted}
+        for index in wanted:
+            one = f"{text}[{index}]" if offered == wanted else ""
+            wires[f"{name}[{index}]"] = spec.model_copy(update={"source": one})
     return wires
 
 

@@ -25,7 +25,7 @@ from harness.validation import validate
 from harness.worker import Limits
 
 OVERRIDE = "--set "  # begins the place of what stands on the command line
-SCENARIO_KEYS = ("clock", "parts", "seed", "record", "validation")
+SCENARIO_KEYS = ("clock", "parts", "seed", "record", "coupling", "validation")
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,18 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 from fmus.description import Validation
 from harness.definitions import Definition
 from harness.reportsection import ReportSection
-from harness.scenario import VALIDATION_MEANS, Clock, Measure, Part, Quantity, Strict
+from harness.scenario import (
+    RECORD_MEANS,
+    VALIDATION_MEANS,
+    Clock,
+    Coupling,
+    Kept,
+    Measure,
+    Part,
+    Quantity,
+    Record,
+    Strict,
+)
 from harness.worker import Limits as WorkerLimits
 
 MEMORY_UNITS = {"kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}
@@ -96,7 +107,8 @@ class CampaignFile(Strict):
     clock: Clock
     seed: int = Field(0, ge=0)
     parts: dict[str, Part] = Field(min_length=1)
-    record: list[str] | None = Field(None, description="signals to record, as part or part.output; all where absent")
+    record: Record = Field(default_factory=lambda: Kept.model_validate({}), description=RECORD_MEANS)
+    coupling: Coupling = Field(default_factory=lambda: Coupling.model_validate({}))
     validation: Validation = Field("warn", description=VALIDATION_MEANS)
     vary: dict[str, Any] = Field(default_factory=dict, description="path, or paths: list of values or 1..20")
     experiments: dict[str, Experiment] = Field(default_factory=dict)

@@ -32,6 +32,7 @@ from harness.runfolder import (
     write_metrics,
 )
 from harness.salvage import Told, keep_failure
+from harness.system import System
 from harness.wiring import wire
 from harness.worker import Worker
 from harness.workplace import condition
@@ -131,20 +132,36 @@ def run_case(case: Case, folder: Path, definitions: Mapping[str, Definition]) ->
     """Wire, run and keep one case, in a worker; what it left the process in. Raises ConfigurationError."""
     settle()
     before = condition()
-    sheet = workplace.sheet()
     with doing("wiring"), wire(case.scenario, case.places) as system:
-        workplace.tell(Told(no_rows(system), system.grid))
-
-        def new_rows(count: int, columns: int) -> Vector:
-            workplace.tell(Told(no_rows(system), system.grid))
-            return sheet.new_rows(count, columns)
-
-        record = run(system, new_rows=new_rows)
+        workplace.tell(Told(no_rows(system), system.grid, system.every))
+        record = run(system, rows=_OnSheet(system))
     after = condition()
     settle()
     with doing("writing"):
         write_case(folder, case, record, definitions)
     return "unchanged" if before == after and record.outcome in COMPLETE else "changed"
+
+
+class _OnSheet:
+    """Rows in the memory that the parent shares."""
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+
+    def room(self, most: int, columns: int) -> Vector:
+        """Room for all there can be: what is not written takes no memory."""
+        system = self._system
+        workplace.tell(Told(no_rows(system), system.grid, system.every))
+        self._rows = workplace.sheet().new_rows(most, columns)
+        return self._rows
+
+    def done(self, count: int) -> None:
+        """They stay where they are."""
+        self._rows = self._rows[:count]
+
+    def kept(self) -> Vector:
+        """All rows."""
+        return self._rows
 
 
 def _run_all(

@@ -17,7 +17,7 @@ from harness.scenario import MODEL, PART_KINDS, part_kind
 from harness.validation import known_keys
 
 # What a path may begin with besides the name of a part.
-ROOTS = ("clock", "seed", "record", "validation")
+ROOTS = ("clock", "seed", "record", "coupling", "validation")
 _RANGE = re.compile(r"\s*([+-]?\d+)\s*\.\.\s*([+-]?\d+)\s*$")
 _LIST = re.compile(r"\s*\[([^\[\]]*)\]\s*(.*?)\s*$")
 _COMMA = re.compile(r",(?![^\[]*\])")

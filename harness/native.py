@@ -1,4 +1,4 @@
-"""The C of the step loop, its sensors and its sources: compiled into one library, opened once a process."""
+"""The C of the step loop, its clock, sensors and sources: compiled into one library, opened once a process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fmus.component import Native
 from fmus.toolchain import compile_shared
 
-_FILES = ("loop.c", "sensor.c", "source.c")
+_FILES = ("parts.c", "clock.c", "loop.c", "crank.c", "sensor.c", "source.c")
 
 
 @cache
@@ -28,7 +28,7 @@ def settle() -> None:
     library().crankbench_settle()
 
 
-def native_step(function: str, state: ctypes.Structure) -> Native:
+def native_step(function: str, state: ctypes.Structure | ctypes.c_int64) -> Native:
     """A function of the library and the structure it works on, as a step that C may call."""
     step = ctypes.cast(getattr(library(), function), ctypes.c_void_p).value
     return Native(step or 0, ctypes.addressof(state))

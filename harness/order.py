@@ -8,13 +8,17 @@ from typing import NamedTuple
 
 
 class Wire(NamedTuple):
-    """One output into one input. `direct`: an output of the part it enters depends directly on it."""
+    """One output into one input. `direct`: an output of the part it enters depends directly on it.
+
+    `late`: it always carries the value of the instant before, whatever the order.
+    """
 
     source: str
     output: str
     part: str
     input: str
     direct: bool
+    late: bool = False
 
     def __str__(self) -> str:
         return f"{self.source}.{self.output} -> {self.part}.{self.input}"
@@ -26,7 +30,7 @@ class AlgebraicLoop(ValueError):
     def __init__(self, wires: Sequence[Wire]) -> None:
         self.wires = tuple(wires)
         super().__init__(
-            f"algebraic loop: {', '.join(map(str, wires))}; break it with a sensor whose delay is a step or more, "
+            f"algebraic loop: {', '.join(map(str, wires))}; break it with `delay: 1` on one of the wires, "
             "or a part whose output does not depend directly on its input"
         )
 
@@ -37,11 +41,11 @@ def order_parts(parts: Mapping[str, bool], wires: Iterable[Wire]) -> tuple[str, 
     `parts`: names as declared, and whether each is a sensor. As long as there is a cycle, the wires that enter one of
     its parts from within it are cut where they are not direct: at the first part whose wires from the cycle are all
     such, else at the first that has one. Sensors come last in this choice, since a sensor cut off measures a step late.
-    Then the parts follow each other as declared wherever the remaining wires leave it open.
+    Then the parts follow each other as declared wherever the remaining wires leave it open. Late wires leave it open.
 
     Raises AlgebraicLoop: a cycle of direct wires.
     """
-    remaining = list(wires)
+    remaining = [wire for wire in wires if not wire.late]
     while True:
         cycles = [group for group in _connected(parts, remaining) if _inside(group, remaining)]
         if not cycles:
@@ -55,9 +59,17 @@ def order_parts(parts: Mapping[str, bool], wires: Iterable[Wire]) -> tuple[str, 
 
 
 def held_wires(order: Sequence[str], wires: Iterable[Wire]) -> tuple[Wire, ...]:
-    """The wires whose part is stepped before, or is, the part they come from: it sees the value at k-1."""
-    place = {part: index for index, part in enumerate(order)}
-    return tuple(wire for wire in wires if place[wire.source] >= place[wire.part])
+    """The late wires, and those whose part is stepped before, or is, the part they come from: it sees the value at k-1."""
+    return tuple(wire for wire in wires if wire.late or not _earlier(order, wire))
+
+
+def copied_wires(order: Sequence[str], wires: Iterable[Wire]) -> tuple[Wire, ...]:
+    """The late wires whose source is stepped earlier: the value at k-1 has to be put by for them."""
+    return tuple(wire for wire in wires if wire.late and _earlier(order, wire))
+
+
+def _earlier(order: Sequence[str], wire: Wire) -> bool:
+    return order.index(wire.source) < order.index(wire.part)
 
 
 def _inside(group: frozenset[str], wires: Iterable[Wire]) -> list[Wire]:

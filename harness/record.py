@@ -22,14 +22,16 @@ from fmus.whole import write_whole
 OUTCOMES = ("ok", "warning", "discard", "error", "fatal", "crash", "timeout", "diverged", "unsupported")
 # Outcomes that leave a complete record.
 COMPLETE = ("ok", "warning")
+# Columns of a record that are no signals.
+LEADING = ("time", "crank")
 
 
 @dataclass(frozen=True)
 class Record:
     """One run: row k holds the instant `time[k]`, column j the signal `signals[j]` in SI.
 
-    `signals` are named `part.signal`; their `unit` is the declared one, for display. `time` has shape (n,) [s] and
-    `values` (n, number of signals). Where the outcome is neither ok nor warning, `part`, `failed_at` [s] and `message`
+    `signals` are named `part.signal`; their `unit` is the declared one, for display. `time` has shape (n,) [s], `values`
+    (n, number of signals), and on a crank clock `crank` (n,) [deg]. Where the outcome is neither ok nor warning, `part`, `failed_at` [s] and `message`
     say what ended the run, and the rows up to there are kept. `tolerated` are the cautions of the parts' FMUs.
     """
 
@@ -47,6 +49,7 @@ class Record:
     wall: Mapping[str, float] = field(default_factory=dict)
     fmus: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     tolerated: tuple[Mapping[str, str], ...] = ()
+    crank: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         if self.outcome not in OUTCOMES:
@@ -76,14 +79,18 @@ def si_unit(unit: str) -> str:
 
 
 def write_signals(record: Record, path: Path) -> None:
-    """Write `time` and one column a signal as Parquet; the same record gives the same bytes.
+    """Write `time`, on a crank clock `crank`, and a column a signal as Parquet; the same record gives the same bytes.
 
     Each column's metadata: `unit` (SI, what the values are in), `display_unit` (as declared), `kind`, `description`.
     """
     fields = [_field("time", "s", "s", "real", "")]
+    leading = [record.time]
+    if record.crank is not None:
+        fields.append(_field("crank", "deg", "deg", "real", "nominal crank angle"))
+        leading.append(record.crank)
     for signal in record.signals:
         fields.append(_field(signal.name, si_unit(signal.unit), signal.unit, signal.kind, signal.description))
-    table = pa.Table.from_arrays([_column(record.time), *map(_column, record.values.T)], schema=pa.schema(fields))
+    table = pa.Table.from_arrays([*map(_column, leading), *map(_column, record.values.T)], schema=pa.schema(fields))
     buffer = io.BytesIO()
     pq.write_table(table, buffer, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
     write_whole(path, buffer.getvalue())
@@ -91,9 +98,11 @@ def write_signals(record: Record, path: Path) -> None:
 
 def read_signals(path: Path, names: Sequence[str] | None = None) -> Record:
     """The signals of a Parquet file as a Record without provenance; only the columns `names` where given."""
-    table = pq.read_table(path, columns=None if names is None else ["time", *names])
+    leading = [name for name in LEADING if name in pq.read_schema(path).names]
+    table = pq.read_table(path, columns=None if names is None else [*leading, *names])
     time = table.column("time").to_numpy().astype(float)
-    columns = [column for column in table.column_names if column != "time"]
+    crank = table.column("crank").to_numpy().astype(float) if "crank" in leading else None
+    columns = [column for column in table.column_names if column not in LEADING]
     values = np.empty((len(time), len(columns)))
     signals = []
     for index, name in enumerate(columns):
@@ -102,7 +111,7 @@ def read_signals(path: Path, names: Sequence[str] | None = None) -> Record:
         kind: Any = metadata.get("kind", "real")
         unit = metadata.get("display_unit", metadata.get("unit", "1"))
         signals.append(Signal(name, unit, description=metadata.get("description", ""), kind=kind))
-    return Record(tuple(signals), time, values)
+    return Record(tuple(signals), time, values, crank=crank)
 
 
 def _column(values: NDArray[np.float64]) -> pa.Array:

@@ -41,8 +41,8 @@ def resolve(
 ) -> Resolved | None:
     """The component of a plant, observer or controller; None where problems were found.
 
-    `step` [s] is what the part steps by: a `make` with an argument `sample_time` is given it unless the settings say
-    otherwise, and the sample time of a sampled model is to be a multiple of it. `validation` is for FMU files.
+    `step` [s] is what the part steps by, 0 where that changes: a `make` with an argument `sample_time` is given it unless
+    the settings say otherwise, and the sample time of a sampled model is to be a multiple of it, or 0: each step. `validation` is for FMU files.
     """
     try:
         if spec.use.endswith(".fmu"):
@@ -165,6 +165,12 @@ def _samples_on_steps(model: Model, starts: Mapping[str, float], step: float, fo
         return True
     declared = next(signal for signal in model.parameters if signal.name == model.sample_time)
     period = starts.get(declared.name, parse_unit(declared.unit).to_si(float(declared.start)))
+    if period == 0.0:
+        return True
+    if step == 0.0:
+        wanted = "wants 0 s, to sample at each step of the crank clock; or give the part an `every` in time"
+        found.at("with", declared.name).add(f"{wanted}, got {period:.9g} s")
+        return False
     ratio = period / step
     if round(ratio) >= 1 and abs(ratio - round(ratio)) <= 1e-6 * ratio:
         return True

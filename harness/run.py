@@ -2,16 +2,27 @@
 
 Time
     t_k = t_0 + k h, computed so from the integer k and never accumulated; parts get exactly that t.
+Crank angle
+    On a crank clock it is the angle that is counted: instant k is at a_k = a_0 + k step. The times follow from the
+    speed that the plant shows: h_k = step / omega(t_{k-1}), and t_k = t_a + (k - a) h as long as the speed has been the
+    same since instant a: at constant speed the instants are those of a clock in time. Where the plant shows its angle
+    too, the clock steers to it: h_k = (step - missed) / omega, where `missed` is how far the plant is ahead of a_{k-1};
+    what one step misses the next makes good. A speed below the slowest, or none, ends the run as an error.
 Order
     In the step to instant k the parts are stepped in the system's order. Each gathers its inputs from the bus at its
     turn: a part stepped earlier shows its value at k, one stepped later its value at k-1; that wire is held, and the
     record lists it. The order follows direct feed-through, so only an input that no output depends on directly is held.
+    A wire with a delay shows the value at k-1 always; so does every wire between plants and controllers that are coupled
+    by Jacobi's method.
 Period
     A part with a period of n steps is stepped where n divides k, over (k-n, k], from t_{k-n} with the step n h: at the
-    end of its period. Between, its outputs stand. Nothing shows the future.
+    end of its period. Between, its outputs stand. Nothing shows the future. On a crank clock a part may be stepped at
+    events of the cycle, from the last one to this; or keep steps in time of its own, of which those are made that end
+    at t_k or before.
 Rows
     Row k of the record holds the inputs that acted on (k-1, k] and the outputs at k: a source shows the value it had
-    at t_{k-1} and held until t_k. Row 0 holds the initialised outputs. Truth, measurement and estimate in one row
+    at t_{k-1} and held until t_k. A record of one instant in n has the rows that n divides. Row 0 holds the initialised
+    outputs. Truth, measurement and estimate in one row
     belong to one instant. Initialisation follows the order too; a held input sees the declared start value.
 Chance
     The random numbers of a part depend on (seed, part name) and what they are for, and on nothing else: a part more or
@@ -44,7 +55,9 @@ import numpy as np
 
 from fmus.component import STATUS_NAMES, Component, StepError, Vector
 from fmus.whereabouts import doing, here
+from harness.clock import CrankGrid
 from harness.record import Record
+from harness.rows import PIECE, InMemory, Rows
 from harness.started import StartedSystem
 from harness.system import Slot, System
 
@@ -77,16 +90,12 @@ def _interrupts_kept() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _own_rows(count: int, columns: int) -> Vector:
-    return np.empty((count, columns))
-
-
-def run(system: System, progress: Progress | None = None, new_rows: Callable[[int, int], Vector] = _own_rows) -> Record:
+def run(system: System, progress: Progress | None = None, rows: Rows | None = None) -> Record:
     """The record of a system from its start to its stop; a failure ends it early and is its outcome.
 
     `progress(k, steps)` is called every PIECE_SECONDS or so. KeyboardInterrupt passes through, between pieces and out
-    of Python parts. The system stays open; running it again starts all parts anew. `new_rows(count, columns)` gives
-    the memory that rows are written to; it is asked for once all parts are initialised.
+    of Python parts. The system stays open; running it again starts all parts anew. `rows` gives the
+    memory that rows are written to, asked for once all parts are initialised; what it keeps is in the record.
     """
     began = time.perf_counter()
     grid = system.grid
@@ -94,23 +103,32 @@ def run(system: System, progress: Progress | None = None, new_rows: Callable[[in
         started = StartedSystem(system)
     except StepError as failure:
         wall = {"total": time.perf_counter() - began}
-        return _record(system, np.empty((0, len(system.recorded))), {}, failure, wall)
-    values = new_rows(grid.steps + 1, len(system.recorded))
-    values[0] = started.row()
-    instant, piece = 0, 64
+        return _record(system, np.empty((0, 1 + len(system.recorded))), {}, failure, wall)
+    rows = rows or InMemory(PIECE if grid.endless else None)
+    every, columns = system.every, 1 + len(system.recorded)
+    room = rows.room(grid.steps // every + 1, columns)
+    room[0] = started.row()
+    instant, used, piece = 0, 1, 64
     here().instant = 1
     with _interrupts_kept() as interrupts, doing("step"):
-        while instant < grid.steps and started.failure is None:
+        while instant < grid.steps and started.failure is None and not started.ended:
+            if used == len(room):
+                rows.done(used)
+                room, used = rows.room(grid.steps // every - instant // every, columns), 0
+            last = (instant // every + len(room) - used + 1) * every - 1
             tick = time.perf_counter()
-            instant = started.advance(instant, min(instant + piece, grid.steps), values[instant + 1 :])
+            reached = started.advance(instant, min(instant + piece, grid.steps, last), room[used:])
             elapsed = time.perf_counter() - tick
+            used += reached // every - instant // every
+            instant = reached
             piece = max(1, min(piece * 8, int(piece * PIECE_SECONDS / max(elapsed, 1e-9))))
             if interrupts:
                 raise KeyboardInterrupt
             if progress is not None:
                 progress(instant, grid.steps)
+        rows.done(used)
     wall = {**started.wall(instant), "total": time.perf_counter() - began}
-    return _record(system, values[: instant + 1], started.warnings, started.failure, wall)
+    return _record(system, rows.kept(), started.warnings, started.failure, wall)
 
 
 def no_rows(system: System) -> Record:
@@ -119,6 +137,7 @@ def no_rows(system: System) -> Record:
         tuple(system.bus[place] for place in system.recorded),
         np.empty(0),
         np.empty((0, len(system.recorded))),
+        crank=crank_angles(system, 0),
         order=system.order,
         held=tuple(map(str, system.held)),
         starts={slot.name: _starts(slot, system) for slot in system.parts},
@@ -127,14 +146,20 @@ def no_rows(system: System) -> Record:
             {"part": slot.name, "category": "tolerated", "text": caution}
             for slot in system.parts
             for caution in getattr(getattr(slot.component, "description", None), "cautions", ())
-        ),
+        )
+        + tuple({"part": name, "category": "clock", "text": text} for name, text in system.notes),
     )
 
 
-def _record(
-    system: System, values: Vector, warnings: Mapping[str, int], failure: StepError | None, wall: Mapping[str, float]
-) -> Record:
+def crank_angles(system: System, count: int) -> Vector | None:
+    """The crank angles [deg] of the first `count` rows of a record; None on a clock in time."""
     grid = system.grid
+    return grid.angles(np.arange(count) * system.every) if isinstance(grid, CrankGrid) else None
+
+
+def _record(
+    system: System, rows: Vector, warnings: Mapping[str, int], failure: StepError | None, wall: Mapping[str, float]
+) -> Record:
     outcome, part, message = "ok", "", ""
     if failure is not None:
         outcome, part, message = STATUS_NAMES[failure.status], failure.part, failure.message
@@ -151,8 +176,9 @@ def _record(
         )
     return replace(
         no_rows(system),
-        time=grid.instants(len(values)),
-        values=values,
+        time=rows[:, 0],
+        crank=crank_angles(system, len(rows)),
+        values=rows[:, 1:],
         outcome=outcome,
         part=part,
         failed_at=math.nan if failure is None else failure.time,

@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fmus.component import ConfigurationError
 from fmus.whereabouts import Whereabouts
 from harness.campaign import Case
+from harness.clock import CrankGrid, Grid
 from harness.record import Record
 from harness.runfolder import case_folder, write_case, write_failure
-from harness.system import TimeGrid
 from harness.worker import Outcome, Worker
 
 # So much of what was printed last goes into the log of the case [characters].
@@ -20,10 +22,11 @@ LAST_WORDS = 2000
 
 @dataclass(frozen=True)
 class Told:
-    """What a worker tells of a case before it can be lost: its record but for the rows, and its instants."""
+    """What a worker tells of a case before it can be lost: its record but for the rows, and what instants it keeps."""
 
     record: Record
-    grid: TimeGrid
+    grid: Grid
+    every: int
 
 
 def keep_failure(folder: Path, case: Case, outcome: Outcome, worker: Worker) -> None:
@@ -33,7 +36,7 @@ def keep_failure(folder: Path, case: Case, outcome: Outcome, worker: Worker) -> 
     if outcome.place is not None and isinstance(outcome.told, Told):
         write_case(folder, case, _salvaged(outcome, outcome.place, outcome.told, worker), {})
     elif outcome.place is not None:
-        began = case.scenario.clock.time.start.si("s")
+        began = case.scenario.clock.start.si("s")
         text = outcome.message + _where(outcome.stage)
         write_failure(folder, case, outcome.kind, text, _output(outcome), outcome.part, began)
     elif isinstance(outcome.error, ConfigurationError):
@@ -46,18 +49,27 @@ def keep_failure(folder: Path, case: Case, outcome: Outcome, worker: Worker) -> 
 def _salvaged(outcome: Outcome, place: Whereabouts, told: Told, worker: Worker) -> Record:
     """The record of a lost worker. An instant or part out of range is the fault's own doing, and not believed."""
     grid, order = told.grid, told.record.order
-    count = place.instant if 0 < place.instant <= grid.steps + 1 else 0
-    part, instant = outcome.part, max(count - 1, 0)
-    if outcome.stage == "step" and count:
-        part, instant = order[place.number] if 0 <= place.number < len(order) else "", min(count, grid.steps)
-    complete = "; all its rows are kept" if count == grid.steps + 1 else ""
+    instants = place.instant if 0 < place.instant <= grid.steps + 1 else 0
+    part = outcome.part
+    if outcome.stage == "step" and instants:
+        part = order[place.number] if 0 <= place.number < len(order) else ""
+    complete = "; all its rows are kept" if instants == grid.steps + 1 else ""
+    count = (instants - 1) // told.every + 1 if instants else 0
+    rows = worker.rows(count, 1 + len(told.record.signals))
+    if isinstance(grid, CrankGrid):
+        failed_at = float(rows[-1, 0]) if count else grid.start
+        crank = grid.angles(np.arange(count) * told.every)
+    else:
+        reached = min(instants, grid.steps) if outcome.stage == "step" else max(instants - 1, 0)
+        failed_at, crank = grid.start + reached * grid.step, None
     return replace(
         told.record,
-        time=grid.instants(count),
-        values=worker.rows(count, len(told.record.signals)),
+        time=rows[:, 0],
+        crank=crank,
+        values=rows[:, 1:],
         outcome=outcome.kind,
         part=part,
-        failed_at=grid.start + instant * grid.step,
+        failed_at=failed_at,
         message=outcome.message + _where(outcome.stage) + complete,
         log=tuple(_output(outcome)),
         wall={"total": outcome.seconds},

@@ -76,6 +76,8 @@ class Errors(NamedTuple):
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:
     """Whole samples and the fraction of one in a delay [s] at a sample time [s]; a billionth of a sample is none."""
+    if delay == 0.0:
+        return 0, 0.0
     samples = delay / period
     whole = math.floor(samples + 1e-9)
     fraction = samples - whole
@@ -224,7 +226,7 @@ def build_sensor(
             found.at(key).add(f"wants 0 or more, got {getattr(spec, key)}")
     if noise < 0.0 and spec.noise:
         found.at("noise", "std").add(f"wants 0 or more, got {spec.noise.std}")
-    if delay / period > MOST_DELAYED_SAMPLES:
+    if delay > MOST_DELAYED_SAMPLES * period:
         found.at("delay").add(f"wants at most {MOST_DELAYED_SAMPLES} samples of {period:g} s, got {spec.delay}")
         delay = 0.0
     lowest, highest = -math.inf, math.inf

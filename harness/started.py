@@ -13,9 +13,12 @@ from numpy.typing import NDArray
 from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, Component, Native, StepError, Vector
 from fmus.units import parse_unit
 from fmus.whereabouts import doing, here
+from harness.clock import CrankGrid, TimeGrid
 from harness.native import address, library, native_step, settle
 from harness.system import Slot, System
 
+# Ends of the loop that no part is to blame for: see parts.c.
+STALLED, ASTRAY, ENDED = 6, 7, 8
 # How many timed steps of a part loop.c keeps.
 KEPT_TIMES = 256
 
@@ -31,20 +34,44 @@ class _Part(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("step", "self", "u", "gathered", "inputs")),
         ("gathers", ctypes.c_int64),
         ("y", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("outputs", "period", "warnings", "timed")),
+        *((name, ctypes.c_int64) for name in ("outputs", "always", "period")),
+        ("due", ctypes.c_char_p),
+        ("stepped", ctypes.c_int64),
+        ("reached", ctypes.c_double),
+        *((name, ctypes.c_int64) for name in ("warnings", "timed")),
         ("took", ctypes.c_void_p),
+    ]
+
+
+class _Clock(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("t0", "h")),
+        *((name, ctypes.c_void_p) for name in ("speed", "angle")),
+        *((name, ctypes.c_double) for name in ("numerator", "denominator", "origin", "slowest", "stop")),
+        ("cycle", ctypes.c_int64),
+        *((name, ctypes.c_double) for name in ("t", "next", "anchored")),
+        ("anchor", ctypes.c_int64),
+    ]
+
+
+class _FixedGrid(ctypes.Structure):
+    _fields_ = [
+        *((name, ctypes.c_void_p) for name in ("step", "self")),
+        *((name, ctypes.c_double) for name in ("t0", "h")),
+        ("count", ctypes.c_int64),
     ]
 
 
 class _Loop(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_double) for name in ("t0", "h")),
+        ("clock", ctypes.POINTER(_Clock)),
         ("parts", ctypes.POINTER(_Part)),
         ("count", ctypes.c_int64),
         ("bus", ctypes.c_void_p),
         ("size", ctypes.c_int64),
         ("recorded", ctypes.c_void_p),
         ("columns", ctypes.c_int64),
+        ("every", ctypes.c_int64),
         ("here", ctypes.c_void_p),
     ]
 
@@ -79,44 +106,66 @@ class _Callback:
 class StartedSystem:
     """A system after initialisation: `bus` has the outputs of row 0, `advance` goes on from there.
 
-    `failure` is what ended it early, None as long as nothing did.
+    `failure` is what ended it early, None as long as nothing did; `ended` whether the clock reached its stop.
     """
 
     def __init__(self, system: System) -> None:
         """Initialise all parts in order. Raises StepError."""
         self.system = system
         self.failure: StepError | None = None
-        grid = system.grid
+        self.ended = False
         self.bus = np.array([parse_unit(s.unit).to_si(float(np.asarray(s.start))) for s in system.bus], dtype=float)
         settle()
         for slot in system.parts:
             with doing("start", slot.name):
                 self._start(slot)
         self._callbacks: dict[int, _Callback] = {}
+        self._grids: dict[int, _FixedGrid] = {}
         self._took = np.zeros((len(system.parts), KEPT_TIMES))
         self._arrays: list[NDArray[Any]] = []
         self._parts = (_Part * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
         self._recorded = np.array(system.recorded, dtype=np.int64)
-        everything = system.recorded == tuple(range(len(system.bus)))
+        first_places = system.recorded == tuple(range(len(system.recorded)))
         place = here()
         place.entry = place.table = ctypes.addressof(self._parts)
         place.size = ctypes.sizeof(_Part)
+        self._clock = self._made_clock()
         self._loop = _Loop(
-            grid.start,
-            grid.step,
+            ctypes.pointer(self._clock),
             self._parts,
             len(system.parts),
             address(self.bus),
             len(self.bus),
-            None if everything else address(self._recorded),
+            None if first_places else address(self._recorded),
             len(system.recorded),
+            system.every,
             ctypes.addressof(place),
         )
         settle()
 
+    def _made_clock(self) -> _Clock:
+        grid = self.system.grid
+        if isinstance(grid, TimeGrid):
+            return _Clock(grid.start, grid.step, denominator=1.0, cycle=1)
+        assert self.system.speed is not None, "a crank clock has a speed"
+        angle = None if self.system.angle is None else address(self.bus[self.system.angle :])
+        return _Clock(
+            t0=grid.start,
+            speed=address(self.bus[self.system.speed :]),
+            angle=angle,
+            numerator=grid.numerator,
+            denominator=float(grid.denominator),
+            origin=grid.origin,
+            slowest=grid.slowest,
+            stop=grid.stop - 1e-9,
+            cycle=grid.cycle,
+            next=grid.start,
+            anchored=grid.start,
+        )
+
     def row(self) -> Vector:
-        """The recorded signals as they stand on the bus, shape (columns,), SI."""
-        return self.bus[self._recorded]
+        """Time and the recorded signals as they stand on the bus, shape (1 + columns,), SI."""
+        return np.concatenate(([self.system.grid.start], self.bus[self._recorded]))
 
     @property
     def warnings(self) -> dict[str, int]:
@@ -130,13 +179,14 @@ class StartedSystem:
         Parts never timed are left out.
         """
         entries = zip(self.system.parts, self._parts, self._took, strict=False)
-        return {s.name: float(np.median(t[: p.timed])) * (instant // s.period) for s, p, t in entries if p.timed}
+        return {s.name: float(np.median(t[: p.timed])) * (instant // s.pace.period) for s, p, t in entries if p.timed}
 
     def advance(self, begin: int, end: int, rows: Vector) -> int:
-        """Step from instant `begin` to `end`, write rows begin+1 ... end, and return the instant reached.
+        """Step from instant `begin` to `end`, write the rows there are between, and return the instant reached.
 
-        `rows` has shape (end - begin, columns), C order. Where the instant returned is not `end`, `failure` says why.
-        What a Python part raised that is no Exception, like KeyboardInterrupt, passes through.
+        `rows` has shape (rows, 1 + columns), C order: time and signals, for each instant that `every` divides. Where
+        the instant returned is not `end`, `failure` says why, or the clock has `ended`. What a Python part raised that
+        is no Exception, like KeyboardInterrupt, passes through.
         """
         stop = _Stop()
         status = library().crankbench_advance(
@@ -148,12 +198,17 @@ class StartedSystem:
         )
         if status == OK:
             return end
+        if status == ENDED:
+            self.ended = True
+            return stop.k
         self.failure = self._failure(status, stop)
         return stop.k - 1
 
     def _failure(self, status: int, stop: _Stop) -> StepError:
+        if status in (STALLED, ASTRAY):
+            return self._clock_failure(status, stop.k)
         slot = self.system.parts[stop.part]
-        instant = self.system.grid.start + stop.k * self.system.grid.step
+        begin, instant = self._span(slot, self._parts[stop.part], stop.k)
         callback = self._callbacks.get(stop.part)
         if callback is not None and status == FATAL:
             raised = callback.raised
@@ -163,10 +218,31 @@ class StartedSystem:
         if status == DIVERGED:
             place = slot.outputs[stop.output]
             return StepError(_not_finite(self.system, self.bus, place), part=slot.name, time=instant, status=status)
-        begin = self.system.grid.start + (stop.k - slot.period) * self.system.grid.step
         explain = getattr(slot.component, "failure", None)
         message = explain(status, begin).message if explain else f"the step from {begin:.9g} s ended so"
         return StepError(message, part=slot.name, time=instant, status=status)
+
+    def _span(self, slot: Slot, part: _Part, k: int) -> tuple[float, float]:
+        """The times [s] that a part's step to instant k led from and to."""
+        grid = self.system.grid
+        if isinstance(grid, TimeGrid):
+            return grid.start + (k - slot.pace.period) * grid.step, grid.start + k * grid.step
+        return self._clock.t, self._clock.next
+
+    def _clock_failure(self, status: int, k: int) -> StepError:
+        """The error of a crank clock that can make no step from instant k - 1."""
+        grid, system = self.system.grid, self.system
+        assert isinstance(grid, CrankGrid) and system.speed is not None, "only a crank clock can fail"
+        place = system.speed if status == STALLED or system.angle is None else system.angle
+        value, name = self.bus[place], system.bus[place].name
+        if status == STALLED:
+            message = f"{name} is {value:.6g} rad/s: the crank clock wants at least {grid.slowest:.6g} rad/s"
+        else:
+            nominal = float(grid.angles(np.array([k - 1]))[0])
+            missed = math.remainder(math.degrees(value) - nominal, 360.0)
+            message = f"{name} is {math.degrees(value):.6g} deg where the crank clock is at {nominal:.6g} deg"
+            message += f", {missed:.3g} deg off: more than half a step; the clock's `origin` is {grid.origin:g} deg"
+        return StepError(message, part=name.partition(".")[0], time=self._clock.next)
 
     def _start(self, slot: Slot) -> None:
         begin = self.system.grid.start
@@ -199,19 +275,24 @@ class StartedSystem:
         reading = getattr(native, "reading", None)
         if reading and not direct:
             native, u, direct = reading(slot.inputs), self.bus, True
-        gathers = 0 if direct else len(slot.inputs)
+        step, itself = native
+        if slot.pace.own:
+            self._grids[index] = _FixedGrid(step, itself, self.system.grid.start, slot.pace.own)
+            step, itself = native_step("crankbench_grid_step", self._grids[index])
         return _Part(
-            *native,
-            address(u),
-            address(gathered),
-            address(inputs),
-            gathers,
-            address(y),
-            len(y),
-            slot.period,
-            0,
-            0,
-            address(self._took[index]),
+            step=step,
+            self=itself,
+            u=address(u),
+            gathered=address(gathered),
+            inputs=address(inputs),
+            gathers=0 if direct else len(slot.inputs),
+            y=address(y),
+            outputs=len(y),
+            always=slot.pace.period == 1 and not slot.pace.due,
+            period=slot.pace.period,
+            due=slot.pace.due or None,
+            reached=self.system.grid.start,
+            took=address(self._took[index]),
         )
 
 

@@ -4,37 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, Self
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Self
 
 from fmus.component import Component, Signal
 from fmus.whereabouts import doing
+from harness.clock import Grid, Pace
 from harness.order import Wire
-
-
-class TimeGrid(NamedTuple):
-    """Instants t_k = start + k step [s], k = 0 ... steps."""
-
-    start: float
-    step: float
-    steps: int
-
-    def instants(self, count: int) -> NDArray[np.float64]:
-        """The first `count` instants [s]."""
-        return self.start + np.arange(count, dtype=np.float64) * self.step
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A part in its place: where on the bus its inputs come from and its outputs go to, and its period in steps."""
+    """A part in its place: where on the bus its inputs come from and its outputs go to, and when it is stepped."""
 
     name: str
     component: Component
     inputs: tuple[int, ...]
     outputs: range
-    period: int
+    pace: Pace
 
 
 @dataclass(frozen=True)
@@ -42,17 +28,22 @@ class System:
     """Parts wired on a flat bus of doubles, ready to run.
 
     `parts` in the order they are stepped, `bus` the signals named `part.output` in the order the parts were declared,
-    `recorded` the places on the bus that a record keeps. `held` are the wires whose part sees the value at k-1.
-    `settings` are the values the parts were given, in SI.
+    `recorded` the places on the bus that a record keeps, of one instant in `every`. `held` are the wires whose part
+    sees the value at k-1. `speed` and `angle` are the places on the bus that a crank clock reads. `settings` are the
+    values the parts were given, in SI. `notes` say, of a part each, how it is stepped otherwise than its FMU wants.
     """
 
-    grid: TimeGrid
+    grid: Grid
     parts: tuple[Slot, ...]
     bus: tuple[Signal, ...]
     wires: tuple[Wire, ...]
     held: tuple[Wire, ...]
     recorded: tuple[int, ...]
+    every: int = 1
+    speed: int | None = None
+    angle: int | None = None
     settings: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    notes: tuple[tuple[str, str], ...] = ()
 
     @property
     def order(self) -> tuple[str, ...]:

@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 from fmus.component import Component, ConfigurationError, Signal
 from fmus.model import unknown
 from fmus.units import UnitError, parse_unit
 from fmus.whereabouts import doing
 from harness.arrays import off_bus, spread
+from harness.assembly import Built, assemble, find_output, output
+from harness.clock import CrankGrid, Grid, Pace, read_clock, read_pace
+from harness.crank import build_crank
 from harness.findings import Findings
 from harness.native import library
-from harness.order import AlgebraicLoop, Wire, held_wires, order_parts
+from harness.order import Wire
 from harness.places import Places
 from harness.resolve import resolve
-from harness.scenario import Measure, ModelPart, Scenario, SensorPart, SourcePart
+from harness.scenario import CrankPart, ModelPart, Part, Scenario, SensorPart, SourcePart, WireSpec
 from harness.sensor import build_sensor
 from harness.source import build_source
-from harness.system import Slot, System, TimeGrid
+from harness.system import System
 
-MOST_STEPS = 100_000_000
 _NAME = re.compile(r"[A-Za-z_]\w*$")
 NOWHERE = Places()
-
-
-class _Built(NamedTuple):
-    component: Component
-    period: int
-    settings: Mapping[str, float]
 
 
 def wire(scenario: Scenario, places: Places = NOWHERE) -> System:
@@ -43,14 +36,14 @@ def wire(scenario: Scenario, places: Places = NOWHERE) -> System:
     that are missing, observers wired to the truth, algebraic loops, settings that nobody declared.
     """
     found = Findings(places)
-    grid = _grid(scenario, found.at("clock", "time"))
+    grid = read_clock(scenario.clock, found.at("clock"))
     library()
-    built: dict[str, _Built | None] = {}
+    built: dict[str, Built | None] = {}
     try:
         _build(scenario, grid, built, found)
         wires = _wires(scenario, built, found)
         _check_wires(wires, built, scenario, found)
-        system = _assemble(scenario, grid, built, wires, found)
+        system = assemble(scenario, grid, built, wires, found)
     except BaseException:
         _close(built)
         raise
@@ -60,46 +53,13 @@ def wire(scenario: Scenario, places: Places = NOWHERE) -> System:
     return system
 
 
-def _close(built: Mapping[str, _Built | None]) -> None:
+def _close(built: Mapping[str, Built | None]) -> None:
     for part in built.values():
         if part is not None:
             part.component.close()
 
 
-def _grid(scenario: Scenario, found: Findings) -> TimeGrid:
-    clock = scenario.clock.time
-    step, start, stop = (found.at(key).value(getattr(clock, key), "s") for key in ("step", "start", "stop"))
-    if not step > 0.0:
-        found.at("step").add(f"wants a positive step, got {clock.step}")
-        return TimeGrid(start, 1.0, 0)
-    if not stop > start:
-        found.at("stop").add(f"wants a time after the start, {clock.start}, got {clock.stop}")
-        return TimeGrid(start, step, 0)
-    ratio = (stop - start) / step
-    if ratio > MOST_STEPS:
-        found.at("step").add(f"wants at most {MOST_STEPS} steps, got {ratio:.9g} of {clock.step}; take a longer step")
-        return TimeGrid(start, step, 0)
-    steps = math.floor(ratio + 1e-6)
-    if steps == 0 and not found.problems:
-        found.at("step").add(f"wants at least one step up to {clock.stop}, got {clock.step}")
-    return TimeGrid(start, step, steps)
-
-
-def _period(every: Measure | None, grid: TimeGrid, found: Findings) -> int:
-    """The period of a part in steps of the clock."""
-    if every is None:
-        return 1
-    ratio = min(found.value(every, "s") / grid.step, float(MOST_STEPS))
-    period = round(ratio)
-    if period < 1 or abs(ratio - period) > 1e-6 * period:
-        near = sorted({max(1, math.floor(ratio)), max(1, math.ceil(ratio))})
-        nearest = " or ".join(f"{count * grid.step:.9g} s" for count in near)
-        found.add(f"wants a multiple of the clock's step, {grid.step:.9g} s, got {every}; near are {nearest}")
-        return 1
-    return period
-
-
-def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], found: Findings) -> None:
+def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found: Findings) -> None:
     """Fills `built` with every part as declared; None for those that have problems."""
     for name in scenario.parts:
         built[name] = None
@@ -108,29 +68,88 @@ def _build(scenario: Scenario, grid: TimeGrid, built: dict[str, _Built | None], 
     for name, spec in scenario.parts.items():
         here = found.at("parts", name)
         if isinstance(spec, ModelPart):
-            period = _period(spec.every, grid, here.at("every"))
+            pace = read_pace(spec.every, spec.at, grid, here)
             with doing("wiring", name):
-                resolved = resolve(spec, name, period * grid.step, here, scenario.validation)
+                resolved = resolve(spec, name, pace.step, here, scenario.validation)
             if resolved is not None:
-                built[name] = _Built(resolved.component, period, resolved.settings)
+                built[name] = Built(
+                    resolved.component, _own_pace(resolved.component, pace, grid, here), resolved.settings
+                )
         elif isinstance(spec, SourcePart) and _known_unit(spec.unit, here.at("unit")):
-            built[name] = _Built(build_source(spec, grid.step, here), 1, {})
-    waiting = {name: spec for name, spec in scenario.parts.items() if isinstance(spec, SensorPart)}
+            built[name] = Built(build_source(spec, _nearness(grid), here), Pace(), {})
+    waiting = {name: spec for name, spec in scenario.parts.items() if isinstance(spec, SensorPart | CrankPart)}
     while waiting:
-        ready = [name for name, spec in waiting.items() if spec.of.partition(".")[0] not in waiting]
+        ready = [name for name, spec in waiting.items() if _measured(spec, scenario).partition(".")[0] not in waiting]
         if not ready:
             for name, spec in waiting.items():
                 found.at("parts", name, "of").tell(f"{name} measures {spec.of}: these sensors only measure each other")
             return
         for name in ready:
-            spec = waiting.pop(name)
-            here = found.at("parts", name)
-            period = _period(spec.every, grid, here.at("every"))
-            source = _find_output(spec.of, built, here.at("of"))
-            if source is not None:
-                measured = _output(source, built)
-                sensor = build_sensor(spec, measured, period * grid.step, scenario.seed, name, here)
-                built[name] = _Built(sensor, period, {})
+            _build_measuring(name, waiting.pop(name), scenario, grid, built, found)
+
+
+def _build_measuring(
+    name: str,
+    spec: SensorPart | CrankPart,
+    scenario: Scenario,
+    grid: Grid,
+    built: dict[str, Built | None],
+    found: Findings,
+) -> None:
+    """Builds a part that reads a signal of another: a sensor, or a crank with an angle to read."""
+    here = found.at("parts", name)
+    of = _measured(spec, scenario)
+    source = find_output(of, built, here.at("of")) if of else None
+    if of and source is None:
+        return
+    measured = None if source is None else output(source, built)
+    if isinstance(spec, CrankPart):
+        if measured is None and not isinstance(grid, CrankGrid):
+            here.tell(
+                f"{name} wants `of`, a signal that is the crankshaft's angle: the clock of this campaign is in time"
+            )
+            return
+        if measured is not None and not parse_unit(measured.unit).same_dimension(parse_unit("deg")):
+            here.at("of").add(f"wants an angle, got {measured.unit} from {of}")
+            return
+        built[name] = Built(build_crank(spec, measured, grid, here), Pace(), {})
+        return
+    assert measured is not None, "the schema wants a sensor to measure something"
+    pace = read_pace(spec.every, spec.at, grid, here)
+    if pace.own:
+        here.at("every").add(f"wants a crank angle, since a sensor samples at instants of the clock, got {spec.every}")
+    period = pace.step
+    if isinstance(grid, CrankGrid) and (spec.lag or spec.delay):
+        here.tell(f"{name} has a lag or a delay, which a sensor on a crank clock cannot have yet")
+        return
+    built[name] = Built(build_sensor(spec, measured, period, scenario.seed, name, here), pace, {})
+
+
+def _measured(spec: SensorPart | CrankPart, scenario: Scenario) -> str:
+    """The signal a part reads; of a crank that names none, the angle that the clock steers to."""
+    clock = scenario.clock.crank
+    return spec.of or (clock.angle if clock is not None else None) or ""
+
+
+def _nearness(grid: Grid) -> float:
+    """The step [s] of which a millionth is how near a time must be to an instant to be at it."""
+    return 1e-3 if isinstance(grid, CrankGrid) else grid.step
+
+
+def _own_pace(component: Component, pace: Pace, grid: Grid, found: Findings) -> Pace:
+    """The pace of a part that wants steps of one length: on a crank clock, a grid of its own."""
+    description = getattr(component, "description", None)
+    if not isinstance(grid, CrankGrid) or pace.own or description is None or description.kind != "cs":
+        return pace
+    if description.capabilities.get("canHandleVariableCommunicationStepSize", True):
+        return pace
+    given = description.capabilities.get("fixedInternalStepSize")
+    if given:
+        return Pace(own=float(given), step=float(given))
+    found.at("every").add(
+        "wants a time, like 1 ms: this FMU takes only steps of one length, and a crank clock makes others"
+    )
+    return pace
 
 
 def _known_unit(unit: str, found: Findings) -> bool:
@@ -142,46 +161,16 @@ def _known_unit(unit: str, found: Findings) -> bool:
     return True
 
 
-def _output(source: tuple[str, str], built: Mapping[str, _Built | None]) -> Signal:
-    part = built[source[0]]
-    assert part is not None, "only outputs of built parts are found"
-    return next(signal for signal in part.component.outputs if signal.name == source[1])
-
-
-def _find_output(text: str, built: Mapping[str, _Built | None], found: Findings) -> tuple[str, str] | None:
-    """Part and output of `part.output`, or of `part` with one output; None where the part has problems itself."""
-    part, _, output = text.partition(".")
-    if part not in built:
-        found.add(unknown(part, built, "part"))
-        return None
-    source = built[part]
-    if source is None:
-        return None
-    names = [signal.name for signal in source.component.outputs]
-    if output in names:
-        return part, output
-    if output:
-        why = off_bus(output, source.component)
-        told = f"{text} {why}" if why else unknown(text, [f"{part}.{name}" for name in names], "signal")
-        found.add(told)
-    elif len(names) == 1 or "value" in names:
-        return part, names[0] if len(names) == 1 else "value"
-    else:
-        listed = ", ".join(f"{part}.{name}" for name in names) or "none"
-        found.add(f"wants one output of {part}, got '{text}'; there are {listed}")
-    return None
-
-
-def _wires(scenario: Scenario, built: Mapping[str, _Built | None], found: Findings) -> list[Wire]:
+def _wires(scenario: Scenario, built: Mapping[str, Built | None], found: Findings) -> list[Wire]:
     """All wires between parts without problems, in the order of the inputs they enter; problems for the others."""
     wires = []
     for name, spec in scenario.parts.items():
         part = built[name]
-        given = {"of": spec.of} if isinstance(spec, SensorPart) else spec.wires if isinstance(spec, ModelPart) else {}
-        here = found.at("parts", name) if isinstance(spec, SensorPart) else found.at("parts", name, "wires")
+        given = _given(spec, scenario)
+        here = found.at("parts", name, "wires") if isinstance(spec, ModelPart) else found.at("parts", name)
         if part is None:
-            for input_name, text in spec.wires.items() if isinstance(spec, ModelPart) else ():
-                _find_output(text, built, here.at(input_name))
+            for input_name, one in given.items() if isinstance(spec, ModelPart) else ():
+                find_output(one.source, built, here.at(input_name))
             continue
         inputs = [signal.name for signal in part.component.inputs]
         sources = {source: one.component for source, one in built.items() if one is not None}
@@ -196,22 +185,37 @@ def _wires(scenario: Scenario, built: Mapping[str, _Built | None], found: Findin
             if input_name not in given:
                 here.tell(f"{name}.{input_name} wants a wire; write `wires: {{{input_name}: part.output}}`")
                 continue
-            quiet = Findings(found.places) if isinstance(spec, SensorPart) else here.at(input_name)
-            source = _find_output(given[input_name], built, quiet) if given[input_name] else None
+            one = given[input_name]
+            quiet = here.at(input_name) if isinstance(spec, ModelPart) else Findings(found.places)
+            source = find_output(one.source, built, quiet) if one.source else None
             if source is not None:
-                wires.append(Wire(*source, name, input_name, input_name in depends))
+                late = one.delay == 1 or _jacobi(built, source[0], name, scenario)
+                wires.append(Wire(*source, name, input_name, input_name in depends, late))
     return wires
 
 
-def _check_wires(
-    wires: Sequence[Wire], built: Mapping[str, _Built | None], scenario: Scenario, found: Findings
-) -> None:
+def _given(spec: Part, scenario: Scenario) -> Mapping[str, WireSpec]:
+    """The wires of a part by input, as declared."""
+    if isinstance(spec, ModelPart):
+        return spec.wires
+    of = _measured(spec, scenario) if isinstance(spec, SensorPart | CrankPart) else ""
+    return {"of": WireSpec.model_validate({"from": of})} if of else {}
+
+
+def _jacobi(built: Mapping[str, Built | None], source: str, target: str, scenario: Scenario) -> bool:
+    """Whether a wire is one between plants and controllers that all see each other's values of the instant before."""
+    ends = (built[source], built[target])
+    coupled = all(end is not None and end.component.role in ("plant", "controller") for end in ends)
+    return coupled and scenario.coupling.method == "jacobi"
+
+
+def _check_wires(wires: Sequence[Wire], built: Mapping[str, Built | None], scenario: Scenario, found: Findings) -> None:
     """Units, kinds, and that no observer reads the truth."""
     for entry in wires:
         source, target = built[entry.source], built[entry.part]
         assert source is not None and target is not None, "wires join built parts only"
         here = found.at("parts", entry.part, "wires", entry.input)
-        given = _output((entry.source, entry.output), built)
+        given = output((entry.source, entry.output), built)
         wanted = next(signal for signal in target.component.inputs if signal.name == entry.input)
         if not parse_unit(given.unit).same_dimension(parse_unit(wanted.unit)):
             told = f"{entry.part}.{entry.input} wants {_named(wanted)}, got {_named(given)} from {entry.source}"
@@ -243,65 +247,3 @@ def _binding(entry: Wire, given: Signal, wanted: Signal, wires: Sequence[Wire]) 
 
 def _named(signal: Signal) -> str:
     return {"": "no unit", "1": "a number without a unit"}.get(signal.unit, signal.unit)
-
-
-def _assemble(
-    scenario: Scenario, grid: TimeGrid, built: Mapping[str, _Built | None], wires: Sequence[Wire], found: Findings
-) -> System | None:
-    """The system of parts that fit together; None where there are problems."""
-    whole = {name: part for name, part in built.items() if part is not None}
-    try:
-        order = order_parts({name: part.component.role == "sensor" for name, part in whole.items()}, wires)
-    except AlgebraicLoop as error:
-        first = error.wires[0]
-        found.at("parts", first.part, "wires", first.input).tell(str(error))
-        return None
-    recorded = _recorded(scenario, built, found)
-    if found.problems:
-        return None
-    if recorded is not None:
-        _fetch_only(whole, {f"{entry.source}.{entry.output}" for entry in wires}.union(recorded))
-    bus: list[Signal] = []
-    outputs: dict[str, range] = {}
-    for name, part in whole.items():
-        outputs[name] = range(len(bus), len(bus) + len(part.component.outputs))
-        bus += [replace(signal, name=f"{name}.{signal.name}") for signal in part.component.outputs]
-    place = {signal.name: index for index, signal in enumerate(bus)}
-    entering = {(entry.part, entry.input): place[f"{entry.source}.{entry.output}"] for entry in wires}
-    slots = []
-    for name in order:
-        component = whole[name].component
-        inputs = tuple(entering[name, signal.name] for signal in component.inputs)
-        slots.append(Slot(name, component, inputs, outputs[name], whole[name].period))
-    held = held_wires(order, wires)
-    settings = {name: dict(part.settings) for name, part in whole.items()}
-    columns = tuple(range(len(bus))) if recorded is None else tuple(place[name] for name in recorded)
-    return System(grid, tuple(slots), tuple(bus), tuple(wires), held, columns, settings)
-
-
-def _fetch_only(built: Mapping[str, _Built], needed: Iterable[str]) -> None:
-    """Spares FMUs the outputs that are neither wired nor recorded."""
-    by_part: dict[str, list[str]] = {name: [] for name in built}
-    for signal in needed:
-        name, _, output = signal.partition(".")
-        by_part[name].append(output)
-    for name, part in built.items():
-        select = getattr(part.component, "select_outputs", None)
-        if select is not None:
-            select(by_part[name])
-
-
-def _recorded(scenario: Scenario, built: Mapping[str, _Built | None], found: Findings) -> list[str] | None:
-    """Names of the signals to record; None where the scenario leaves it at all of them."""
-    if scenario.record is None:
-        return None
-    names: dict[str, None] = {}
-    for index, text in enumerate(scenario.record):
-        part = built.get(text)
-        if part is not None:
-            names |= dict.fromkeys(f"{text}.{signal.name}" for signal in part.component.outputs)
-        elif text not in built:
-            source = _find_output(text, built, found.at("record", index))
-            if source is not None:
-                names[".".join(source)] = None
-    return list(names)

@@ -9,31 +9,73 @@ import numpy as np
 
 from fmus.component import Component, Vector
 from fmus.units import parse_unit
+from harness.clock import CrankGrid, TimeGrid
 from harness.sensor import Errors, SensorComponent, lag_weights, split_delay, stream
 from harness.source import SourceComponent
 from harness.system import System
 
 
 def run_plainly(system: System) -> Vector:
-    """All rows of a system's record, shape (steps + 1, columns), SI."""
+    """All rows of a system's record, time first, shape (rows, 1 + columns), SI."""
     grid = system.grid
-    parts = [(slot, twin(slot.component, grid.steps + 1)) for slot in system.parts]
+    parts = [(slot, twin(slot.component, most_samples(system))) for slot in system.parts]
     bus = [parse_unit(signal.unit).to_si(float(signal.start)) for signal in system.bus]
     for slot, part in parts:
         outputs = part.start(grid.start, np.array([bus[place] for place in slot.inputs]))
         for place, value in zip(slot.outputs, outputs, strict=True):
             bus[place] = float(value)
-    rows = [[bus[place] for place in system.recorded]]
+    rows = [[grid.start, *(bus[place] for place in system.recorded)]]
+    stepped = {slot.name: (0, grid.start) for slot, _ in parts}
+    own_steps = {slot.name: 0 for slot, _ in parts}
+    since, anchored, now, h = 0, grid.start, grid.start, grid.step if isinstance(grid, TimeGrid) else 0.0
     for k in range(1, grid.steps + 1):
+        if isinstance(grid, TimeGrid):
+            following = grid.start + k * h
+        else:
+            step, speed = grid.numerator / grid.denominator * (math.pi / 180.0), bus[system.speed]
+            wanted = step / speed
+            if system.angle is not None:
+                nominal = grid.origin + (k - 1) * grid.numerator / grid.denominator
+                missed = math.remainder(bus[system.angle] - nominal * (math.pi / 180.0), 360.0 * (math.pi / 180.0))
+                wanted = (step - missed) / speed
+            if wanted != h:
+                since, anchored, h = k - 1, now, wanted
+            following = anchored + (k - since) * h
         for slot, part in parts:
-            n = slot.period
-            if k % n == 0:
-                u = np.array([bus[place] for place in slot.inputs])
-                outputs = part.step(grid.start + (k - n) * grid.step, n * grid.step, u)
+            last, last_time = stepped[slot.name]
+            pace = slot.pace
+            if not (pace.due[k % grid.cycle] if pace.due else k % pace.period == 0):
+                continue
+            stepped[slot.name] = (k, following)
+            if isinstance(grid, TimeGrid):
+                begin, length = grid.start + last * h, (k - last) * h
+            else:
+                begin, length = last_time, (k - last) * h if last >= since else following - last_time
+            spans = [(begin, length)]
+            if pace.own:
+                spans = []
+                made = own_steps[slot.name]
+                while grid.start + (made + 1) * pace.own <= begin + length + 1e-6 * pace.own:
+                    spans.append((grid.start + made * pace.own, pace.own))
+                    made += 1
+                own_steps[slot.name] = made
+            u = np.array([bus[place] for place in slot.inputs])
+            for span in spans:
+                outputs = part.step(*span, u)
                 for place, value in zip(slot.outputs, outputs, strict=True):
                     bus[place] = float(value)
-        rows.append([bus[place] for place in system.recorded])
-    return np.array(rows).reshape(grid.steps + 1, len(system.recorded))
+        now = following
+        if k % system.every == 0:
+            rows.append([following, *(bus[place] for place in system.recorded)])
+        if isinstance(grid, CrankGrid) and following >= grid.stop - 1e-9:
+            break
+    return np.array(rows).reshape(-1, 1 + len(system.recorded))
+
+
+def most_samples(system: System) -> int:
+    """How many samples a sensor can take at the most."""
+    grid = system.grid
+    return grid.steps + 1 if isinstance(grid, TimeGrid) else min(grid.steps, 100_000) + 1
 
 
 def twin(component: Component, samples: int) -> Component | SensorTwin | SourceTwin:

@@ -180,14 +180,14 @@ def test_two_runs_of_one_system_give_the_same_bytes() -> None:
 @given(cuts=st.lists(st.integers(1, 9999), max_size=6))
 def test_a_run_in_pieces_gives_the_same_bytes(cuts: list[int]) -> None:
     wired = _noisy_loop()
-    whole = run(wired).values
+    whole = run(wired)
     started = StartedSystem(wired)
-    values = np.empty_like(whole)
-    values[0] = started.row()
+    rows = np.empty((10001, 1 + len(whole.names)))
+    rows[0] = started.row()
     instants = [0, *sorted(set(cuts)), 10000]
     for begin, end in itertools.pairwise(instants):
-        assert started.advance(begin, end, values[begin + 1 :]) == end
-    assert values.tobytes() == whole.tobytes()
+        assert started.advance(begin, end, rows[begin + 1 :]) == end
+    assert rows.tobytes() == np.column_stack([whole.time, whole.values]).tobytes()
 
 
 def _noisy_loop() -> System:
@@ -305,15 +305,15 @@ def test_the_c_loop_matches_the_plain_python_oracle_bit_for_bit(described: Scena
     record = run(wired)
     assert record.outcome == "ok", record.message
     plain = run_plainly(wired)
-    different = np.argwhere(record.values != plain)
-    assert not len(different), (record.names[different[0][1]], different[0], wired.order)
+    different = np.argwhere(np.column_stack([record.time, record.values]) != plain)
+    assert not len(different), (["time", *record.names][different[0][1]], different[0], wired.order)
 
 
 def test_recorded_signals_come_in_the_order_asked_for() -> None:
     wired = system({"plant": PLANT, "encoder": NOISE}, record=["encoder", "plant.y", "plant.torque"])
     record = run(wired)
     assert record.names == ["encoder.value", "plant.y", "plant.torque"]
-    assert np.array_equal(record.values, run_plainly(wired))
+    assert np.array_equal(record.values, run_plainly(wired)[:, 1:])
 
 
 # Failure
@@ -429,7 +429,7 @@ def test_the_loop_lets_other_threads_run() -> None:
     thread.start()
     before = counted
     began = time.perf_counter()
-    started.advance(0, 5_000_000, np.empty((0, 0)))
+    started.advance(0, 5_000_000, np.empty((5_000_000, 1)))
     took, grown = time.perf_counter() - began, counted - before
     done.set()
     thread.join()

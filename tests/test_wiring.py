@@ -285,7 +285,7 @@ def test_the_last_instant_is_the_last_multiple_up_to_the_stop(step: str, stop: s
 def test_a_part_steps_at_multiples_of_the_clock_only() -> None:
     expected = "observer.every wants a multiple of the clock's step, 0.001 s, got 2.5 ms; near are 0.002 s or 0.003 s"
     assert problems(changed("observer", every="2.5 ms")) == [expected]
-    assert {part.name: part.period for part in system(changed("encoder", every="3 ms")).parts}["encoder"] == 3
+    assert {part.name: part.pace.period for part in system(changed("encoder", every="3 ms")).parts}["encoder"] == 3
 
 
 # Settings

@@ -197,8 +197,19 @@ static void take_sample(State *s) {
     s->stale |= STALE_ALL;
 }
 
+/* A sample time of 0 stands for each communication step. */
+static int samples_each_step(const State *s) {
+#if SAMPLED
+    return s->v[SAMPLE_TIME] == 0.0;
+#else
+    (void)s;
+    return 0;
+#endif
+}
+
 static double next_sample_time(const State *s) {
 #if SAMPLED
+    if (samples_each_step(s)) return INFINITY;
     return s->start_time + (double)(s->sample_count + 1) * s->v[SAMPLE_TIME];
 #else
     (void)s;
@@ -219,7 +230,10 @@ static int initialise(Instance *instance) {
     State *s = &instance->s;
     if (NS && !(s->v[STEP_SIZE] > 0)) return fail(instance, "%s must be above zero", model_name[STEP_SIZE]);
 #if SAMPLED
-    if (!(s->v[SAMPLE_TIME] > 0)) return fail(instance, "%s must be above zero", model_name[SAMPLE_TIME]);
+    if (!(s->v[SAMPLE_TIME] >= 0)) return fail(instance, "%s must not be below zero", model_name[SAMPLE_TIME]);
+    if (samples_each_step(s) && !instance->co_simulation)
+        return fail(instance, "%s is zero, which stands for each communication step: Model Exchange has none",
+                    model_name[SAMPLE_TIME]);
 #endif
     s->stale = STALE_ALL;
     if (NZ) {

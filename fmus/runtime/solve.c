@@ -259,6 +259,10 @@ static int advance(Instance *instance, double t, double h) {
         take_sample(s);
         if (NZ && settle(s) < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", s->v[0]);
     }
+    if (samples_each_step(s) && !instance->s.event_pending) {
+        take_sample(s);
+        if (NZ && settle(s) < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", s->v[0]);
+    }
     s->stale |= STALE_DX | STALE_Y | STALE_Z;
     instance->last_successful_time = s->v[0];
     return OK;
