@@ -32,7 +32,7 @@ static double seconds(void)
 enum { TIMED = 251, KEPT = 256 };
 
 /* FMI's numbers of a status; DIVERGED is ours. */
-enum { OK = 0, WARNING = 1, FATAL = 4, DIVERGED = 5 };
+enum { OK = 0, WARNING = 1, ERROR = 3, FATAL = 4, DIVERGED = 5 };
 
 typedef int (*Step)(void *self, double t, double h, const double *u, double *y);
 
