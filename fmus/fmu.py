@@ -190,7 +190,7 @@ class FmuComponent:
         proof = self.proof()
         if not proof.holds:
             return None
-        return self._slave.past().reversal(proof.knowns, proof.unknowns)
+        return self._slave.past().reversal(proof.derivatives.knowns, proof.derivatives.unknowns)
 
     def proof(self) -> Proof:
         """Whether the FMU can be taken back, as another component of it showed, once in this process.

@@ -111,16 +111,17 @@ def reset(asked: Subject) -> Answer:
 
 
 def rollback(asked: Subject) -> Answer:
-    """Taken back to a kept state, does it make the same steps again?"""
+    """Taken back to a kept state twice, does it make the same steps again?"""
     with loaded(asked) as component:
         if component.fmi_version.startswith("1"):
             return Answer(None, NOT_IN_FMI1)
         mark = _bookmarked(component, asked)
         went = _onward(mark, asked)
-        mark.restore()
-        again = _onward(mark, asked)
+        for _ in range(2):  # an FMU may go on in the state that it gave away
+            mark.restore()
+            again = _onward(mark, asked)
         mark.forget()
-        return same(component, went, again, f"{len(went)} steps and the same after going back")
+        return same(component, went, again, f"{len(went)} steps and the same after going back twice")
 
 
 def serialise(asked: Subject) -> Answer:

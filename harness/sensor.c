@@ -35,7 +35,7 @@ typedef struct {
     /* state */
     int64_t next;
     double lagged, input, reading;
-    /* the state kept, and how many samples were taken since; -1 where none is kept */
+    /* the state kept, and how many samples were taken since; more than REVERSIBLE where none is kept */
     int64_t since, kept_used, kept_next;
     double kept_lagged, kept_input, kept_reading;
 } Sensor;
@@ -61,10 +61,10 @@ static int sensor_measure(Sensor *s, double t, double u, int first)
         if (sensor_draw(s->normals, s->draw_normals) || sensor_draw(s->uniforms, s->draw_uniforms)) return FATAL;
         s->used = 0;
     }
-    s->since += s->since >= 0;
     if (s->normals) normal = s->normals[s->used];
     if (s->uniforms) uniform = s->uniforms[s->used];
     s->used++;
+    s->since++;
 
     double v = u;
     if (s->lags) {
@@ -111,7 +111,7 @@ EXPORT int crankbench_sensor_start(void *self, double t0, const double *u, doubl
     s->lagged = s->input = u[0];
     for (int64_t i = 0; i < s->length; i++) s->line[i] = u[0];
     s->next = 0;
-    s->since = -1;
+    s->since = REVERSIBLE;
     s->plain = !s->lags && !s->length && !s->fault_count && !s->normals && !s->uniforms && s->resolution == 0.0;
     const int status = sensor_measure(s, t0, u[0], 1);
     y[0] = s->reading;
@@ -163,7 +163,7 @@ EXPORT int crankbench_sensor_keep(void *self)
 EXPORT int crankbench_sensor_restore(void *self)
 {
     Sensor *s = (Sensor *)self;
-    if (s->since < 0 || s->since > REVERSIBLE) return ERROR;
+    if (s->since > REVERSIBLE) return ERROR;
     s->since = 0;
     s->used = s->kept_used;
     s->next = s->kept_next;
