@@ -25,7 +25,7 @@
 
 enum { OK, WARNING, DISCARD, ERROR, FATAL };
 enum { FLOAT64, FLOAT32, INT8, UINT8, INT16, UINT16, INT32, UINT32, INT64, UINT64, BOOLEAN, INT_BOOLEAN };
-enum { SETTING, STEPPING, GETTING };
+enum { SETTING, STEPPING, GETTING, KEEPING, RESTORING, DERIVING };
 enum { LOG_FIRST = 64, LOG_LAST = 192, CATEGORY_SIZE = 64, MESSAGE_SIZE = 1024 };
 enum { LAST_SUCCESSFUL_TIME = 2, TERMINATED = 3 }; /* fmi2StatusKind */
 
@@ -75,6 +75,7 @@ typedef struct {
     int terminated; /* after a discard: the FMU asked to end the simulation */
     double last_successful_time;
     const Block *wired, *wired_end; /* `inputs` for steps that are given the whole bus as u */
+    int reversible; /* steps may be taken back, and the FMU is told so */
 } Slave;
 
 typedef int (*Access2)(void *, const uint32_t *, size_t, void *);
@@ -322,7 +323,7 @@ static SELDOM int discarded2(Slave *slave)
 
 static inline int do_step2(Slave *slave, double t, double h)
 {
-    int status = ((DoStep2)slave->do_step)(slave->instance, t, h, 1);
+    int status = ((DoStep2)slave->do_step)(slave->instance, t, h, !slave->reversible);
     if (fine(status))
         return status;
     return status == DISCARD ? discarded2(slave) : ended(slave, status, STEPPING);
@@ -337,7 +338,8 @@ static SELDOM int shortened3(Slave *slave, double t, double end, int status, boo
         t = reached;
         reached = end;
         early = false;
-        status = ((DoStep3)slave->do_step)(slave->instance, t, end - t, true, &event, &terminate, &early, &reached);
+        status = ((DoStep3)slave->do_step)(slave->instance, t, end - t, !slave->reversible, &event, &terminate, &early,
+                                           &reached);
     }
     if (fine(status) && !terminate && (!early || reached >= end))
         return status;
@@ -350,7 +352,8 @@ static inline int do_step3(Slave *slave, double t, double h)
 {
     bool event = false, terminate = false, early = false;
     double reached = t + h;
-    int status = ((DoStep3)slave->do_step)(slave->instance, t, h, true, &event, &terminate, &early, &reached);
+    int status = ((DoStep3)slave->do_step)(slave->instance, t, h, !slave->reversible, &event, &terminate, &early,
+                                           &reached);
     if (fine(status) && !terminate && !early)
         return status;
     return shortened3(slave, t, t + h, status, terminate, reached);

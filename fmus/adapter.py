@@ -80,7 +80,9 @@ class _Log(ctypes.Structure):
     _fields_ = (("count", c_size_t), ("entries", _Entry * (_LOG_FIRST + _LOG_LAST)))
 
 
-class _Conversion(ctypes.Structure):
+class Conversion(ctypes.Structure):
+    """The struct Conversion of adapter.c."""
+
     _fields_ = (("position", c_size_t), ("factor", c_double), ("offset", c_double))
 
 
@@ -120,13 +122,14 @@ class _Table(ctypes.Structure):
         ("last_successful_time", c_double),
         ("wired", c_void_p),
         ("wired_end", c_void_p),
+        ("reversible", c_int),
     )
 
 
 @cache
 def stepping_library() -> ctypes.CDLL:
-    """What steps FMUs, in one unit: adapter.c, and what goes with it for FMI 1 and for Model Exchange."""
-    sources = ("adapter.c", "fmi1.c", "clocks.c", "exchange.c")
+    """What steps FMUs, in one unit: adapter.c, and what goes with it for FMI 1, Model Exchange and taking back."""
+    sources = ("adapter.c", "fmi1.c", "clocks.c", "exchange.c", "reversal.c")
     unit = "\n".join(files("fmus").joinpath(source).read_text(encoding="utf-8") for source in sources)
     library = ctypes.CDLL(str(compile_shared(unit)))
     for version in (1, 2, 3):
@@ -156,6 +159,7 @@ class Adapter:
     """The C side of one FMU: what a step touches, where its instance stands, and what the FMU said.
 
     `function` gives the address of a function of the FMU's library by its name without the prefix, like `DoStep`.
+    `carried` are the inputs that steps set, `fetched` the outputs that they get.
     """
 
     def __init__(self, version: int, function: Callable[[str], int], kind: str = "cs") -> None:
@@ -169,7 +173,8 @@ class Adapter:
         if kind == "cs" and version == 2:
             self._table.boolean_status = function("GetBooleanStatus")
         self._memory: dict[str, list[Any]] = {}
-        self._carried: list[Place] = []
+        self.carried: list[Place] = []
+        self.fetched: list[Place] = []
         self._readable = kind == "cs" and version > 1
         self.self = addressof(self._table)
         self.step = getattr(stepping_library(), f"fmi{version}_step")
@@ -186,7 +191,7 @@ class Adapter:
 
     def _reading(self, places: Sequence[int]) -> Native:
         """The step that takes its inputs from these places of a bus, in one pass without a copy before."""
-        self._enter("wired", "Set", self._carried, places)
+        self._enter("wired", "Set", self.carried, places)
         return Native(address(getattr(stepping_library(), f"fmi{self._version}_step_wired")), self.self)
 
     @property
@@ -200,13 +205,14 @@ class Adapter:
         An array takes a place for each scalar.
         """
         places = _places(inputs)
-        self._carried = [place for place in places if place[0].name not in held]
-        self._enter("inputs", "Set", self._carried)
+        self.carried = [place for place in places if place[0].name not in held]
+        self._enter("inputs", "Set", self.carried)
         self._enter("held", "Set", [place for place in places if place[0].name in held])
 
     def fetch(self, outputs: Sequence[Variable]) -> None:
         """Let each step get these variables to the bus, in this order, and no others."""
-        self._enter("outputs", "Get", _places(outputs))
+        self.fetched = _places(outputs)
+        self._enter("outputs", "Get", self.fetched)
 
     def renew(self, t0: float) -> None:
         """Forget what the last instance said and where it stopped."""
@@ -251,7 +257,7 @@ class Adapter:
 
         positions = [first + i for variable, first in group for i in range(variable.size)]
         positions = [at[position] for position in positions] if at else positions
-        scales = [_scale(variable) for variable, _ in group for _ in range(variable.size)]
+        scales = [scale(variable) for variable, _ in group for _ in range(variable.size)]
         n = len(positions)
         setting, converts = access == "Set", any(scale != (1.0, 0.0) for scale in scales)
         double = passage.c_type is c_double
@@ -259,10 +265,10 @@ class Adapter:
         in_place = double and in_row and not (setting and converts)
         whole = setting and not in_place
         conversions = [
-            _Conversion(p, *scale) for p, scale in zip(positions, scales, strict=True) if whole or scale != (1.0, 0.0)
+            Conversion(p, *scale) for p, scale in zip(positions, scales, strict=True) if whole or scale != (1.0, 0.0)
         ]
         buffer = None if in_place else hold((passage.c_type * n)())
-        begin = hold((_Conversion * len(conversions))(*conversions))
+        begin = hold((Conversion * len(conversions))(*conversions))
         return _Block(
             access=self._function(access + passage.function),
             references=hold((c_uint32 * len(group))(*(variable.reference for variable, _ in group))),
@@ -272,13 +278,13 @@ class Adapter:
             buffer=buffer,
             scratch=buffer if double else hold((c_double * n)()),
             conversions=begin,
-            conversions_end=begin + len(conversions) * sizeof(_Conversion),
+            conversions_end=begin + len(conversions) * sizeof(Conversion),
             positions=hold((c_size_t * n)(*positions)),
             type=passage.number,
         )
 
 
-def _scale(variable: Variable) -> tuple[float, float]:
+def scale(variable: Variable) -> tuple[float, float]:
     """Factor and offset of the unit a variable is declared in: (1, 0) for SI units and for what has none."""
     quantity = variable.quantity
     return (1.0, 0.0) if quantity is None else (quantity.factor, quantity.offset)

@@ -131,8 +131,8 @@ EXPORT int event_mode_step(void *self, double t, double h, const double *u, doub
         double due = next_tick(&e->clocks), stop = due < end + rounding(t, end) ? fmax(due, now) : end;
         double reached = stop;
         if (stop - now > rounding(stop, now)) {
-            status = ((DoStep3)slave->do_step)(slave->instance, now, stop - now, true, &event, &terminate, &early,
-                                               &reached);
+            status = ((DoStep3)slave->do_step)(slave->instance, now, stop - now, !slave->reversible, &event,
+                                               &terminate, &early, &reached);
             if (!fine(status) || terminate) {
                 slave->terminated = fine(status) && terminate;
                 slave->last_successful_time = fine(status) && early ? reached : now;

@@ -71,13 +71,29 @@ class Native(NamedTuple):
     self: int
 
 
+class Reversal(NamedTuple):
+    """How C takes a part back within an instant: three functions and what they work on, all addresses.
+
+    `int keep(void *self)` remembers the state the part is in now, in place of what was remembered before.
+    `int restore(void *self)` goes back to it, as often as wanted.
+    `int derivative(void *self, const double *du, double *dy)` is the directional derivative of the outputs with respect
+    to the inputs at the present point, both in SI units; 0 where there is none.
+    The status is as that of steps.
+    """
+
+    keep: int
+    restore: int
+    derivative: int
+    self: int
+
+
 @runtime_checkable
 class Component(Protocol):
     """Anything that can be stepped: a plant, sensor, source, observer, controller or vendor FMU.
 
     `inputs` and `outputs` are scalars in a fixed order, in SI units on every call.
     `feedthrough` holds the pairs (output name, input name) where the output at the end of a step
-    depends algebraically on the input. `start` rebuilds all state.
+    depends algebraically on the input. `start` rebuilds all state. One that can be taken back is Reversible, too.
     """
 
     @property
@@ -107,6 +123,14 @@ class Component(Protocol):
 
     def close(self) -> None:
         """Release what the component holds; further calls are errors."""
+
+
+@runtime_checkable
+class Reversible(Protocol):
+    """What a Component may offer beside: to be taken back to a state it was in."""
+
+    def reversal(self) -> Reversal | None:
+        """How C takes it back, valid after `start`; None where it cannot be taken back."""
 
 
 class Problem(NamedTuple):

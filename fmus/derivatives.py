@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from ctypes import c_double, c_size_t, c_uint32
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
 
 from fmus.component import Vector
 from fmus.description import FmuDescription
-from fmus.fmu import FmuComponent
 from fmus.variable import Variable
+
+if TYPE_CHECKING:
+    from fmus.fmu import FmuComponent
 
 # Scaled by nominal values, relative where the derivative is above one: what tools that solve equations to 1e-6 reach
 # by the largest of the differences, with room; wrong derivatives are off by far more.

@@ -265,10 +265,8 @@ static double next_event(const Exchange *e)
 
 /* ---- integration ---- */
 
-/* CVODE kept from one start to the next would be no saving worth its state: all is made anew. */
-EXPORT void exchange_release(void *self)
+static void release_solver(Exchange *e)
 {
-    Exchange *e = self;
     const Solver *s = e->solver;
     if (e->memory)
         s->destroy(&e->memory);
@@ -276,13 +274,22 @@ EXPORT void exchange_release(void *self)
         s->linear_solver_free(e->linear);
     if (e->matrix)
         s->matrix_destroy(e->matrix);
+    e->memory = e->linear = e->matrix = NULL;
+}
+
+/* CVODE kept from one start to the next would be no saving worth its state: all is made anew. */
+EXPORT void exchange_release(void *self)
+{
+    Exchange *e = self;
+    const Solver *s = e->solver;
+    release_solver(e);
     if (e->tolerances)
         s->vector_destroy(e->tolerances);
     if (e->vector)
         s->vector_destroy(e->vector);
     if (e->context)
         s->context_free(&e->context);
-    e->memory = e->linear = e->matrix = e->tolerances = e->vector = e->context = NULL;
+    e->tolerances = e->vector = e->context = NULL;
 }
 
 static int make_vectors(Exchange *e)
@@ -376,10 +383,12 @@ static int completed(Exchange *e, bool *event)
         status = ((int (*)(void *, char *))e->completed_step)(INSTANCE, &wants);
         wants_event = wants;
     } else if (e->version == 2) {
-        status = ((int (*)(void *, int, int *, int *))e->completed_step)(INSTANCE, 1, &wants_event, &terminate);
+        status = ((int (*)(void *, int, int *, int *))e->completed_step)(INSTANCE, !e->slave->reversible,
+                                                                           &wants_event, &terminate);
     } else {
         bool wants = false, end = false;
-        status = ((int (*)(void *, bool, bool *, bool *))e->completed_step)(INSTANCE, true, &wants, &end);
+        status = ((int (*)(void *, bool, bool *, bool *))e->completed_step)(INSTANCE, !e->slave->reversible, &wants,
+                                                                               &end);
         wants_event = wants;
         terminate = end;
     }

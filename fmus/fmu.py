@@ -16,6 +16,7 @@ from fmus.component import (
     ConfigurationError,
     Native,
     Problem,
+    Reversal,
     Role,
     Signal,
     StepError,
@@ -24,6 +25,7 @@ from fmus.component import (
 from fmus.description import FmuDescription, FmuKind, Validation, describe
 from fmus.exchange import Stepping
 from fmus.model import unknown
+from fmus.proof import Proof, takes_back
 from fmus.slave import Slave
 from fmus.units import Unit, UnitError, parse_unit
 from fmus.variable import Variable
@@ -95,8 +97,12 @@ class FmuComponent:
             for variable in self._input_variables
             for signal in _signals(variable)
         )
+        self._given, self._stepping = dict(starts), stepping
+        shaping = [variable for variable in description.variables if variable.structural or variable.type == "String"]
+        self._shaping = {scalar for variable in shaping for scalar in variable.scalar_names()}
         self._slave = Slave(description, name, stepping)
         self._slave.adapter.carry(self._input_variables)
+        self._t0 = 0.0
         self._u = np.zeros(len(self.inputs))
         self._u_address = self._u.ctypes.data
         self.select_outputs(scalar for variable in self._output_variables for scalar in variable.scalar_names())
@@ -145,7 +151,7 @@ class FmuComponent:
 
         Raises StepError: the FMU refused.
         """
-        self._u[:] = u
+        self._t0, self._u[:] = t0, u
         self._slave.start(t0, self._starts, self._u, self._y)
         self.applied_starts = {
             scalar: value
@@ -174,6 +180,43 @@ class FmuComponent:
     def native(self) -> Native:
         """The step for C; before `start` and after `close` it returns the status ERROR."""
         return self._slave.native()
+
+    def reversal(self) -> Reversal | None:
+        """How C takes it back; to be asked after `start` and before the first step. None where `proof` does not hold.
+
+        From now on the FMU is told that steps may be taken back, and Model Exchange's solver starts anew wherever a
+        state is kept. The derivatives are those of the FMU where they proved right.
+        """
+        proof = self.proof()
+        if not proof.holds:
+            return None
+        return self._slave.past().reversal(proof.derivatives.knowns, proof.derivatives.unknowns)
+
+    def proof(self) -> Proof:
+        """Whether the FMU can be taken back, as another component of it showed, once in this process.
+
+        It is tried with the start values the FMU itself gives, and where it does not start with those, with this
+        component's. Meanwhile there is no other instance, and one that was started is started afresh afterwards: after
+        its first step the question comes too late. Raises StepError: too late, or it does not start again.
+        """
+        texts = {name: value for name, value in self._given.items() if name in self._shaping}
+        found = self._proof(texts)
+        return found if found.started or texts == self._given else self._proof(self._given)
+
+    def _proof(self, starts: Mapping[str, float | str]) -> Proof:
+        key = (self.sha256, self.description.kind, self._stepping, frozenset(starts.items()))
+        was_running = self._slave.running
+
+        def another() -> FmuComponent:
+            if was_running and self._slave.adapter.table.time != self._t0:
+                raise StepError("whether it can be taken back is to be asked before its first step", part=self.name)
+            self._slave.free()
+            return FmuComponent(self.description, starts, self.name, self.role, self._stepping)
+
+        found = takes_back(key, self.description, another)
+        if was_running and not self._slave.running:
+            self._slave.start(self._t0, self._starts, self._u, self._y)
+        return found
 
     def failure(self, status: int, time: float) -> StepError:
         """The error for a step from `time` [s] that ended in `status`, with the FMU's last message on it."""

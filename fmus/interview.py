@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from fmus.component import Vector
-from fmus.description import FmuKind, Validation, describe
-from fmus.fmu import FmuComponent, load_fmu
+from fmus.component import Component, Vector
+from fmus.description import FmuDescription, FmuKind, Validation, describe
 from fmus.units import parse_unit
 
 STEPS = 50
@@ -45,7 +42,11 @@ def subject(path: Path, validation: Validation = "warn", kind: FmuKind | None = 
 
     It is run in the `kind` asked for, else in the one it is run in anyway.
     """
-    description = describe(path, validation)
+    return Subject(path, *usual_steps(describe(path, validation)), validation, kind)
+
+
+def usual_steps(description: FmuDescription) -> tuple[float, float, int]:
+    """Where its default experiment begins [s], the step [s] that `subject` says, and how many are made."""
     found = ElementTree.parse(description.folder / "modelDescription.xml").getroot().find("DefaultExperiment")
     asked = {} if found is None else {name: float(found.get(name) or 0.0) for name in ("startTime", "stopTime")}
     t0 = asked.get("startTime", 0.0)
@@ -55,20 +56,10 @@ def subject(path: Path, validation: Validation = "warn", kind: FmuKind | None = 
     h = next(size for size in sizes if size > 0.0)
     # The second half of a default experiment is left alone: there are FMUs that end before its end.
     steps = STEPS if span <= 0.0 else max(4, min(STEPS, int(span / (2.0 * h))))
-    return Subject(path, t0, h, steps, validation, kind)
+    return t0, h, steps
 
 
-@contextmanager
-def loaded(asked: Subject, name: str = "probed") -> Iterator[FmuComponent]:
-    """The FMU as a component while the block lasts."""
-    component = load_fmu(asked.path, name=name, validation=asked.validation, kind=asked.kind)
-    try:
-        yield component
-    finally:
-        component.close()
-
-
-def inputs_at(component: FmuComponent, k: int) -> Vector:
+def inputs_at(component: Component, k: int) -> Vector:
     """Inputs at step k: start values, the real ones with a small oscillation inside their range."""
     u = np.array([float(np.asarray(signal.start)) for signal in component.inputs])
     for i, signal in enumerate(component.inputs):
@@ -78,22 +69,22 @@ def inputs_at(component: FmuComponent, k: int) -> Vector:
     return _si(component, u)
 
 
-def _si(component: FmuComponent, u: Vector) -> Vector:
+def _si(component: Component, u: Vector) -> Vector:
     return np.array([parse_unit(s.unit).to_si(v) for s, v in zip(component.inputs, u, strict=True)], dtype=float)
 
 
-def course(component: FmuComponent, asked: Subject) -> Vector:
+def course(component: Component, asked: Subject) -> Vector:
     """The outputs at the start and after each step, shape (steps + 1, outputs)."""
     return go_on(component, asked, component.start(asked.t0, inputs_at(component, 0)))
 
 
-def go_on(component: FmuComponent, asked: Subject, first: Vector) -> Vector:
+def go_on(component: Component, asked: Subject, first: Vector) -> Vector:
     """As `course`, of a component started already, whose first outputs are these."""
     steps = (component.step(asked.t0 + k * asked.h, asked.h, inputs_at(component, k)) for k in range(asked.steps))
     return np.array([first, *steps])
 
 
-def same(component: FmuComponent, first: Vector, second: Vector, what: str) -> Answer:
+def same(component: Component, first: Vector, second: Vector, what: str) -> Answer:
     """Whether two trajectories have the same bytes; where not, the first difference and the largest."""
     if first.tobytes() == second.tobytes():
         return Answer(True, f"{what} agree bit for bit")
@@ -105,7 +96,7 @@ def same(component: FmuComponent, first: Vector, second: Vector, what: str) -> A
     return Answer(False, f"{told}, at most {largest:.1e} of what the outputs span")
 
 
-def spans(component: FmuComponent, rows: Vector) -> Vector:
+def spans(component: Component, rows: Vector) -> Vector:
     """What each output spans over a run, or a billionth of its nominal value where that is larger."""
     nominal = np.array([abs(signal.nominal * parse_unit(signal.unit).factor) for signal in component.outputs])
     spanned = np.ptp(np.nan_to_num(rows), axis=0)

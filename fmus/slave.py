@@ -20,13 +20,21 @@ from fmus.fmi1 import Fmi1
 from fmus.fmi2 import Fmi2
 from fmus.fmi3 import Fmi3
 from fmus.library import Library
+from fmus.reversal import Past
 from fmus.sources import built_library
 from fmus.variable import Variable
 from fmus.whereabouts import doing
 
 Start = tuple[Variable, tuple[float | str, ...]]
 
-_STAGES = ("setting the inputs", "doing the step", "getting the outputs")
+_STAGES = (
+    "setting the inputs",
+    "doing the step",
+    "getting the outputs",
+    "keeping its state",
+    "going back to the state kept",
+    "getting its directional derivatives",
+)
 _VERSIONS: dict[int, type[Fmi1] | type[Fmi2] | type[Fmi3]] = {1: Fmi1, 2: Fmi2, 3: Fmi3}
 # Libraries in which an instance reported fatal: the standards forbid any further call on any instance of them.
 _CORRUPT: set[str] = set()
@@ -49,6 +57,7 @@ class Slave:
         self._stepping = stepping or Stepping()
         self.exchange: Exchange | None = None
         self._event_mode: EventMode | None = None
+        self._past: Past | None = None
         self._threads = _threads()
         try:
             self._path = description.library or built_library(description)
@@ -161,6 +170,22 @@ class Slave:
         stepped = self._stepped
         return int(stepped.step(stepped.self, t, h, u, y))
 
+    def past(self) -> Past:
+        """What takes the instance back; from now on each instance is told that it may be.
+
+        Raises ConfigurationError: the library lacks a function for it.
+        """
+        if self._library is None:
+            raise ConfigurationError(f"{self.name}: is closed")
+        if self._past is None:
+            self._past = Past(self._version, self._library.address, self.adapter, self.exchange or self._event_mode)
+        return self._past
+
+    @property
+    def running(self) -> bool:
+        """Whether there is an instance that is past its initialisation and not ended."""
+        return self._running
+
     @property
     def _stepped(self) -> Adapter | Exchange | EventMode:
         return self.exchange or self._event_mode or self.adapter
@@ -180,6 +205,8 @@ class Slave:
     def free(self) -> None:
         """End the instance as far as its status allows: after an error only free it, after a fatal not even that."""
         table = self.adapter.table
+        if self._past is not None:
+            self._past.forget()
         if self.exchange is not None:
             self.exchange.release()
         instance, table.instance = table.instance, None

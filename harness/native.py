@@ -1,4 +1,4 @@
-"""The C of the step loop, its clock, sensors and sources: compiled into one library, opened once a process."""
+"""The C of the step loop and of the parts that belong to it: compiled into one library, opened once a process."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.component import Native
+from fmus.component import Native, Reversal
 from fmus.toolchain import compile_shared
 
-_FILES = ("parts.c", "clock.c", "loop.c", "crank.c", "sensor.c", "source.c")
+_FILES = ("parts.c", "clock.c", "loop.c", "crank.c", "sensor.c", "source.c", "reversal.c")
 
 
 @cache
@@ -30,8 +30,16 @@ def settle() -> None:
 
 def native_step(function: str, state: ctypes.Structure | ctypes.c_int64) -> Native:
     """A function of the library and the structure it works on, as a step that C may call."""
-    step = ctypes.cast(getattr(library(), function), ctypes.c_void_p).value
-    return Native(step or 0, ctypes.addressof(state))
+    return Native(_function(function), ctypes.addressof(state))
+
+
+def native_reversal(keep: str, restore: str, state: ctypes.Structure) -> Reversal:
+    """Two functions of the library and the structure they work on, as what takes a part back; no derivative."""
+    return Reversal(_function(keep), _function(restore), 0, ctypes.addressof(state))
+
+
+def _function(name: str) -> int:
+    return ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0
 
 
 def address(array: NDArray[np.float64] | NDArray[np.int64] | None) -> int | None:

@@ -2,6 +2,9 @@
 #include <math.h>
 #include <stdint.h>
 
+/* So many samples may follow a kept state; the ring of a delay has places to spare for them. */
+enum { REVERSIBLE = 64 };
+
 enum { BIAS = 0, GAIN = 1, DRIFT = 2, STUCK = 3, DROP_OUT = 4, NOISE = 5 };
 
 typedef struct {
@@ -13,7 +16,8 @@ typedef struct {
     /* x_k = decay x_{k-1} + older u_{k-1} + newer u_k; newer = 1, the others 0, without a lag */
     int64_t lags;
     double decay, older, newer;
-    /* a delay of (whole + fraction) samples; `line` is a ring of whole + 2 samples, without a delay of none */
+    /* a delay of (whole + fraction) samples; `line` is a ring of whole + 2 + REVERSIBLE samples,
+     * without a delay of none */
     int64_t length, whole;
     double fraction;
     double *line;
@@ -22,7 +26,8 @@ typedef struct {
     int64_t plain; /* nothing but gain, bias and limits */
     const Fault *faults;
     int64_t fault_count;
-    /* one number a sample of each stream that is needed, NULL where it is not, drawn in blocks of `drawn` */
+    /* one number a sample of each stream that is needed, NULL where it is not, drawn in blocks of `drawn`; `used` is
+     * below 0 while some of the block before are left, which then lie in the REVERSIBLE places in front */
     double *normals, *uniforms;
     int64_t drawn, used;
     void (*draw_normals)(void);
@@ -30,6 +35,9 @@ typedef struct {
     /* state */
     int64_t next;
     double lagged, input, reading;
+    /* the state kept, and how many samples were taken since; more than REVERSIBLE where none is kept */
+    int64_t since, kept_used, kept_next;
+    double kept_lagged, kept_input, kept_reading;
 } Sensor;
 
 /* Fills a block of random numbers; FATAL where nothing was drawn. */
@@ -56,6 +64,7 @@ static int sensor_measure(Sensor *s, double t, double u, int first)
     if (s->normals) normal = s->normals[s->used];
     if (s->uniforms) uniform = s->uniforms[s->used];
     s->used++;
+    s->since++;
 
     double v = u;
     if (s->lags) {
@@ -102,6 +111,7 @@ EXPORT int crankbench_sensor_start(void *self, double t0, const double *u, doubl
     s->lagged = s->input = u[0];
     for (int64_t i = 0; i < s->length; i++) s->line[i] = u[0];
     s->next = 0;
+    s->since = REVERSIBLE;
     s->plain = !s->lags && !s->length && !s->fault_count && !s->normals && !s->uniforms && s->resolution == 0.0;
     const int status = sensor_measure(s, t0, u[0], 1);
     y[0] = s->reading;
@@ -119,4 +129,46 @@ EXPORT int crankbench_sensor_step(void *self, double t, double h, const double *
     const int status = sensor_measure(s, t + h, u[0], 0);
     y[0] = s->reading;
     return status;
+}
+
+/* Moves the numbers left of a block in front of it and draws the next one. */
+static void sensor_move_left(double *block, int64_t left, int64_t drawn)
+{
+    if (!block) return;
+    for (int64_t i = 0; i < left; i++) block[i - left] = block[drawn - left + i];
+}
+
+/* Remembers the state. No block of numbers ends within the samples that may follow, so that going back needs none of
+ * the block before. */
+EXPORT int crankbench_sensor_keep(void *self)
+{
+    Sensor *s = (Sensor *)self;
+    const int64_t left = s->drawn - s->used;
+    if (left < REVERSIBLE) {
+        sensor_move_left(s->normals, left, s->drawn);
+        sensor_move_left(s->uniforms, left, s->drawn);
+        if (sensor_draw(s->normals, s->draw_normals) || sensor_draw(s->uniforms, s->draw_uniforms)) return FATAL;
+        s->used = -left;
+    }
+    s->since = 0;
+    s->kept_used = s->used;
+    s->kept_next = s->next;
+    s->kept_lagged = s->lagged;
+    s->kept_input = s->input;
+    s->kept_reading = s->reading;
+    return OK;
+}
+
+/* Goes back to it; ERROR where none is kept or too many samples were taken since. */
+EXPORT int crankbench_sensor_restore(void *self)
+{
+    Sensor *s = (Sensor *)self;
+    if (s->since > REVERSIBLE) return ERROR;
+    s->since = 0;
+    s->used = s->kept_used;
+    s->next = s->kept_next;
+    s->lagged = s->kept_lagged;
+    s->input = s->kept_input;
+    s->reading = s->kept_reading;
+    return OK;
 }

@@ -23,12 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmus.component import OK, Native, Role, Signal, StepError, Vector
+from fmus.component import OK, Native, Reversal, Role, Signal, StepError, Vector
 from harness.findings import Findings
-from harness.native import address, call, native_step
+from harness.native import address, call, native_reversal, native_step
 from harness.scenario import Fault, SensorPart
 
 BLOCK = 4096
+# Samples that may follow a kept state, as in sensor.c.
+REVERSIBLE = 64
 FAULTS = ("bias", "gain", "drift", "stuck", "drop_out", "noise")
 MOST_DELAYED_SAMPLES = 10_000_000
 
@@ -121,6 +123,8 @@ class _Sensor(ctypes.Structure):
         *((name, _Draw) for name in ("draw_normals", "draw_uniforms")),
         ("next", ctypes.c_int64),
         *((name, ctypes.c_double) for name in ("lagged", "input", "reading")),
+        *((name, ctypes.c_int64) for name in ("since", "kept_used", "kept_next")),
+        *((name, ctypes.c_double) for name in ("kept_lagged", "kept_input", "kept_reading")),
     ]
 
 
@@ -147,10 +151,10 @@ class SensorComponent:
         """The reading at t0 [s] of the signal u, shape (1,)."""
         errors = self.errors
         decay, older, newer = lag_weights(errors.lag, self.period) if errors.lag else (0.0, 0.0, 1.0)
-        length = self._whole + 2 if errors.delay else 0
+        length = self._whole + 2 + REVERSIBLE if errors.delay else 0
         self._line = np.zeros(max(length, 1))
-        self._normals = np.zeros(BLOCK) if errors.normals else None
-        self._uniforms = np.zeros(BLOCK) if errors.uniforms else None
+        self._normals = np.zeros(REVERSIBLE + BLOCK)[REVERSIBLE:] if errors.normals else None
+        self._uniforms = np.zeros(REVERSIBLE + BLOCK)[REVERSIBLE:] if errors.uniforms else None
         noise, losses = (stream(self.seed, self.part, purpose) for purpose in ("noise", "drop_out"))
         self._faults = (_Fault * max(len(errors.faults), 1))(
             *(_Fault(FAULTS.index(fault.kind), *fault[1:]) for fault in errors.faults)
@@ -195,6 +199,10 @@ class SensorComponent:
     def native(self) -> Native:
         """The step in C."""
         return native_step("crankbench_sensor_step", self._started())
+
+    def reversal(self) -> Reversal:
+        """Keeping and going back in C, the numbers of chance included; REVERSIBLE samples at most may lie between."""
+        return native_reversal("crankbench_sensor_keep", "crankbench_sensor_restore", self._started())
 
     def close(self) -> None:
         """Forget the state: it wants a start before the next step."""

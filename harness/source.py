@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from fmus.component import Native, Role, Signal, StepError, Vector
+from fmus.component import Native, Reversal, Role, Signal, StepError, Vector
 from harness.findings import Findings
-from harness.native import address, call, native_step
+from harness.native import address, call, native_reversal, native_step
 from harness.scenario import Measure, Ramp, Sine, SourcePart, Step, Table
 
 SHAPES = ("hold", "linear", "sine")
@@ -82,6 +82,10 @@ class SourceComponent:
     def native(self) -> Native:
         """The step in C."""
         return native_step("crankbench_source_step", self._started())
+
+    def reversal(self) -> Reversal:
+        """Keeping and going back in C, which do nothing: a source has no state."""
+        return native_reversal("crankbench_source_keep", "crankbench_source_keep", self._started())
 
     def close(self) -> None:
         """Forget the state: it wants a start before the next step."""

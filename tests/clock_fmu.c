@@ -64,6 +64,13 @@ API int fmi3DoStep(void *i, double t, double h, bool keep, bool *event, bool *en
     m->v[TIME] = *reached = t + h;
     return OK;
 }
+API int fmi3GetFMUState(void *i, void **kept) {
+    if (!*kept) *kept = malloc(sizeof(Instance));
+    memcpy(*kept, i, sizeof(Instance));
+    return OK;
+}
+API int fmi3SetFMUState(void *i, void *kept) { memcpy(i, kept, sizeof(Instance)); return OK; }
+API int fmi3FreeFMUState(void *i, void **kept) { (void)i; free(*kept); *kept = NULL; return OK; }
 API int fmi3SetTime(void *i, double t) { THIS; m->v[TIME] = t; return OK; }
 API int fmi3SetContinuousStates(void *i, const double *x, size_t n) { THIS; (void)n; m->v[X] = x[0]; return OK; }
 API int fmi3GetContinuousStates(void *i, double *x, size_t n) { THIS; (void)n; x[0] = m->v[X]; return OK; }

@@ -13,12 +13,17 @@
 
 enum { NONE, CRASHES_WHEN_WRITTEN, HANGS_IN_RESET, FORGETS_WHEN_TAKEN_BACK, DERIVES_WRONGLY, TAKES_ONE_STEP_LENGTH,
        SHARES_ITS_STATE, NEVER_TWICE_THE_SAME, NOT_A_NUMBER, KEEPS_ITS_STATE_IN_RESET, WRITES_AN_ADDRESS,
-       IGNORES_THE_STEP_LENGTH, HANGS_IN_INSTANTIATE, EXITS_IN_STEP };
+       IGNORES_THE_STEP_LENGTH, HANGS_IN_INSTANTIATE, EXITS_IN_STEP, CANNOT_BE_KEPT, LENDS_WHAT_IT_KEEPS,
+       BELIEVES_WHAT_IT_IS_TOLD };
 
 typedef struct {
     double x, u, time, drift;
     long steps;
+    int final; /* it was told that it is not taken back any more */
 } State;
+
+/* States that are kept now, by all instances. */
+EXPORT long states_kept;
 
 static State shared;
 static long runs;
@@ -84,19 +89,26 @@ NO_VALUES(String, char *)
 
 EXPORT int fmi2GetFMUstate(void *c, void **kept)
 {
-    if (!*kept) *kept = malloc(sizeof(State));
+    if (FAULT == CANNOT_BE_KEPT) return ERROR;
+    if (!*kept) {
+        *kept = malloc(sizeof(State));
+        states_kept++;
+    }
     memcpy(*kept, X, sizeof(State));
     return OK;
 }
 EXPORT int fmi2SetFMUstate(void *c, void *kept)
 {
     double drift = X->drift;
+    if (FAULT == BELIEVES_WHAT_IT_IS_TOLD && X->final) return ERROR;
     memcpy(X, kept, sizeof(State));
+    if (FAULT == LENDS_WHAT_IT_KEEPS) ((State *)kept)->drift += 0.5;
     if (FAULT == FORGETS_WHEN_TAKEN_BACK) X->drift = drift + 0.5;
     return OK;
 }
 EXPORT int fmi2FreeFMUstate(void *c, void **kept)
 {
+    if (*kept) states_kept--;
     free(*kept);
     *kept = NULL;
     return OK;
@@ -122,7 +134,10 @@ EXPORT int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, voi
 {
     const void *from = bytes;
     if (FAULT == WRITES_AN_ADDRESS) memcpy(&from, bytes, sizeof(void *));
-    if (!*kept) *kept = malloc(sizeof(State));
+    if (!*kept) {
+        *kept = malloc(sizeof(State));
+        states_kept++;
+    }
     memcpy(*kept, from, sizeof(State));
     return OK;
 }
@@ -143,6 +158,7 @@ EXPORT int fmi2DoStep(void *c, double t, double h, int final)
     if (FAULT == EXITS_IN_STEP && X->steps == 3) exit(0);
     if (FAULT == TAKES_ONE_STEP_LENGTH && fabs(h - 0.1) > 1e-12) return ERROR;
     if (FAULT == IGNORES_THE_STEP_LENGTH) h = 0.1;
+    if (final) X->final = 1;
     X->x = X->u + (X->x - X->u) * exp(-h);
     X->time = t + h;
     X->steps += 1;

@@ -122,6 +122,13 @@ API int fmi2Reset(void *i) {
     *m = (Instance){.callbacks = callbacks, .v[R] = 0.5, .next = 0.25};
     return OK;
 }
+API int fmi2GetFMUstate(void *i, void **kept) {
+    if (!*kept) *kept = malloc(sizeof(Instance));
+    memcpy(*kept, i, sizeof(Instance));
+    return OK;
+}
+API int fmi2SetFMUstate(void *i, void *kept) { memcpy(i, kept, sizeof(Instance)); return OK; }
+API int fmi2FreeFMUstate(void *i, void **kept) { (void)i; free(*kept); *kept = NULL; return OK; }
 API int fmi2EnterEventMode(void *i) { (void)i; note('e'); return OK; }
 API int fmi2EnterContinuousTimeMode(void *i) { (void)i; note('c'); return OK; }
 API int fmi2NewDiscreteStates(void *i, Info *info) {

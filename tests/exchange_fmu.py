@@ -22,7 +22,7 @@ label        0 parameter String
 """
 _HEAD2 = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="exchange" guid="{{exchange}}" numberOfEventIndicators="1">
-<ModelExchange modelIdentifier="exchange"/><ModelVariables>{variables}</ModelVariables>
+<ModelExchange modelIdentifier="exchange" canGetAndSetFMUstate="true"/><ModelVariables>{variables}</ModelVariables>
 <ModelStructure><Outputs>{outputs}</Outputs>
 <Derivatives><Unknown index="8"/><Unknown index="9"/></Derivatives></ModelStructure></fmiModelDescription>"""
 _HEAD1 = """<?xml version="1.0" encoding="UTF-8"?>

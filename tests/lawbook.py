@@ -7,6 +7,8 @@ Values        `start` and `step` give as many finite doubles as outputs are decl
 Start         rebuilds all state: after any run, a start gives the same run again bit for bit.
 Apart         Two components made alike do not know of each other, stepped in turns.
 Native        The step that C calls gives the outputs of the step that Python calls bit for bit, with status ok.
+Reversal      Taken back to a state that was kept, it makes the same steps again bit for bit, as often as wanted and
+              whatever it did between; and keeping changes nothing, but for solvers, which start anew.
 Feedthrough   An input acts at once only on outputs that declare it: of an output that does not, what a change of the
               input over the last step does vanishes as that step becomes short.
 Chance        No global random state is read or moved.
@@ -24,7 +26,9 @@ import numpy as np
 import pytest
 
 from fmus.component import OK, Component, Signal, StepError, Vector
+from fmus.fmu import FmuComponent
 from fmus.units import parse_unit
+from harness.reversal import WayBack, reversal_of
 
 ROLES = ("plant", "observer", "controller", "source", "sensor")
 KINDS = ("real", "integer", "boolean")
@@ -35,6 +39,7 @@ SHORTER, LEFT = 64.0, 0.25
 Step = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
 )
+Move = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 
 
 @dataclass(frozen=True)
@@ -57,6 +62,7 @@ def check_component(make: Callable[[], Component], course: Course = Course()) ->
         _starts_anew(component, course, first)
         _stand_apart(component, other, course, first)
         _is_native(component, course, first)
+        _goes_back(component, course, first)
         _is_honest(component, course)
         assert state == (random.getstate(), np.random.get_state()[1].tobytes()), "it moves the global random state"
     finally:
@@ -160,6 +166,49 @@ def _is_native(component: Component, course: Course, first: Vector) -> None:
         rows.append(y.copy())
     called = np.array(rows)
     assert first.tobytes() == called.tobytes(), _difference(component, first, called, "the native step is another")
+
+
+def _goes_back(component: Component, course: Course, first: Vector) -> None:
+    component.start(course.t0, inputs_at(component, course, 0))
+    way = reversal_of(component)
+    if way.reversal is None:
+        assert way.reason
+        return
+    assert way.reason == ""
+    middle = course.steps // 2
+    another = Course(course.h, course.steps, course.t0, -course.swing)
+    before = _onward(component, course, 0, middle)
+    move(way, "keep")
+    went = _onward(component, course, middle, course.steps)
+    for steps in (1, course.steps - middle):
+        move(way, "restore")
+        _onward(component, another, middle, middle + steps)
+    move(way, "restore")
+    again = _onward(component, course, middle, course.steps)
+    assert went.tobytes() == again.tobytes(), _difference(component, went, again, "taken back it goes another way")
+    if not (isinstance(component, FmuComponent) and component.slave.exchange):
+        kept = np.vstack([before, went])
+        assert first[1:].tobytes() == kept.tobytes(), _difference(component, first[1:], kept, "keeping changes it")
+
+
+def move(way: WayBack, name: str) -> None:
+    """Call `keep` or `restore` by its address."""
+    assert way.reversal is not None
+    status = Move(getattr(way.reversal, name))(way.reversal.self)
+    assert status == OK, f"{name} ends in {status}"
+
+
+def _onward(component: Component, course: Course, begin: int, end: int) -> Vector:
+    """Outputs of the steps from instant `begin` to `end`, made as the loop makes them."""
+    native, y, rows = component.native(), np.zeros(len(component.outputs)), []
+    for k in range(begin, end):
+        u, t = inputs_at(component, course, k), course.t0 + k * course.h
+        if native is None:
+            y = component.step(t, course.h, u)
+        else:
+            assert Step(native.step)(native.self, t, course.h, u.ctypes.data, y.ctypes.data) == OK
+        rows.append(y.copy())
+    return np.array(rows)
 
 
 def _is_honest(component: Component, course: Course) -> None:

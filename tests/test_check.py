@@ -34,6 +34,9 @@ SHOWN_BY = {
     "IGNORES_THE_STEP_LENGTH": {"variable_step", "flags"},
     "HANGS_IN_INSTANTIATE": {"load"},
     "EXITS_IN_STEP": set(NAMES) - {"load", "serialise_new_process", "directional_derivative", "adjoint_derivative"},
+    "CANNOT_BE_KEPT": {"rollback", "serialise", "flags"},
+    "LENDS_WHAT_IT_KEEPS": {"rollback", "flags"},
+    "BELIEVES_WHAT_IT_IS_TOLD": set(),
 }
 EVIDENCE = {
     "CRASHES_WHEN_WRITTEN": ("serialise", "SIGSEGV"),

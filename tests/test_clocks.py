@@ -17,7 +17,8 @@ from fmus.toolchain import FMI3_PLATFORMS, compile_shared, library_suffix, nativ
 _PERIOD = 'intervalVariability="constant" intervalDecimal="0.3" shiftDecimal="0.1"'
 _XML = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="clocked" instantiationToken="{{clocked}}">
-<ModelExchange modelIdentifier="clocked"/><CoSimulation modelIdentifier="clocked" hasEventMode="{events}"/>
+<ModelExchange modelIdentifier="clocked" canGetAndSetFMUState="true"/>
+<CoSimulation modelIdentifier="clocked" hasEventMode="{events}" canGetAndSetFMUState="true"/>
 <ModelVariables>
 <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>
 <Float64 name="u" valueReference="1" causality="input" start="0"/>

@@ -144,6 +144,32 @@ def test_a_part_in_plain_python_keeps_the_laws():
     check_component(Lag)
 
 
+class Reversible(Lag):
+    """A Lag that can be taken back; `breaks` says what it forgets."""
+
+    def keep(self) -> None:
+        if self.breaks == "keeping":
+            self.x += 1e-9
+        self.kept = self.x
+
+    def restore(self) -> None:
+        self.x = self.kept
+        if self.breaks == "once":
+            self.kept = 0.0
+
+
+def test_a_part_in_plain_python_that_can_be_taken_back_keeps_the_laws():
+    check_component(Reversible)
+
+
+@pytest.mark.parametrize(
+    ("law", "said"), [("once", "taken back it goes another way"), ("keeping", "keeping changes it")]
+)
+def test_a_way_back_that_leads_elsewhere_is_told(law: str, said: str):
+    with pytest.raises(AssertionError, match=said):
+        check_component(lambda: Reversible(law))
+
+
 @pytest.mark.parametrize(
     ("law", "said"),
     [
