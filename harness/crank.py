@@ -29,8 +29,8 @@ class _Crank(ctypes.Structure):
 class CrankComponent:
     """Angle, cycle, phase within the cycle; with a firing order the cylinder that fired last, and each one's phase.
 
-    Counted along the clock's grid, or read off an angle `of`. `phase_i` is the angle since the firing top dead centre of
-    cylinder i. On a crank clock that steers, `residual` is how far the plant's angle is ahead of the clock's.
+    Counted along the clock's grid, or read off an angle `of`. `phase_i` is the angle since the firing top dead centre
+    of cylinder i. On a crank clock that steers, `residual` is how far the plant's angle is ahead of the clock's.
     `tdc` are the firing top dead centres by cylinder [deg]; `cycle` [deg].
     """
 

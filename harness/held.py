@@ -5,12 +5,15 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 
-from fmus.component import Native, Role, Signal, Vector
+from fmus.component import Native, Reversal, Role, Signal, Vector
 from harness.native import native_step
 
 
 class HeldComponent:
-    """Its outputs are its inputs, one by one. Stepped before all others, it shows them their values of k-1 at k."""
+    """Its outputs are its inputs, one by one. Stepped before others, it shows them values of k-1 at k.
+
+    It has no state, and so is taken back to none.
+    """
 
     role: Role = "controller"
 
@@ -31,6 +34,11 @@ class HeldComponent:
     def native(self) -> Native:
         """The step in C."""
         return native_step("crankbench_held_step", self._count)
+
+    def reversal(self) -> Reversal:
+        """Nothing is to be done."""
+        nothing = native_step("crankbench_nothing", self._count).step
+        return Reversal(nothing, nothing, 0, 0)
 
     def close(self) -> None:
         """Nothing is held beyond the values."""

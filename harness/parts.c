@@ -32,9 +32,11 @@ static double seconds(void)
 enum { TIMED = 251, KEPT = 256 };
 
 /* FMI's numbers of a status; those from DIVERGED on are ours. ENDED is no failure: the clock reached its stop. */
-enum { OK = 0, WARNING = 1, ERROR = 3, FATAL = 4, DIVERGED = 5, STALLED = 6, ASTRAY = 7, ENDED = 8 };
+enum { OK = 0, WARNING = 1, ERROR = 3, FATAL = 4, DIVERGED = 5, STALLED = 6, ASTRAY = 7, ENDED = 8, UNSOLVED = 9 };
 
 typedef int (*Step)(void *self, double t, double h, const double *u, double *y);
+typedef struct Clock Clock;
+typedef struct Group Group;
 
 typedef struct {
     Step step;
@@ -45,8 +47,9 @@ typedef struct {
     int64_t gathers;       /* how many; 0 where u points into the bus */
     double *y;             /* where the step writes: the part's outputs on the bus */
     int64_t outputs;
-    int64_t always;        /* 1: stepped at every instant, from the one before */
-    int64_t period;        /* else where it divides k, */
+    int64_t always;        /* 1: stepped alone, at every instant, from the one before */
+    Group *group;          /* the first of parts that are stepped together; NULL else */
+    int64_t period;        /* where it divides k, */
     const uint8_t *due;    /* or, where there is such a table, at the instants of a cycle that it marks */
     int64_t stepped;       /* the instant it was last stepped to, and its time; of parts not always stepped */
     double reached;
@@ -61,6 +64,19 @@ typedef struct {
     volatile int64_t instant;
     const Part *volatile part;
 } Whereabouts;
+
+typedef struct {
+    Clock *clock;
+    Part *parts; /* in the order they are stepped */
+    int64_t count;
+    double *bus;
+    int64_t size; /* of the bus */
+    const int64_t *recorded; /* places on the bus of the columns of a row; NULL where they are its first places */
+    int64_t columns;
+    int64_t every; /* a row is written where it divides k */
+    Whereabouts *here;
+    Group *steering; /* the parts up to the plant that a crank clock steers exactly; NULL else */
+} Loop;
 
 typedef struct {
     int64_t part;   /* index into `parts` of the one that stopped the loop */
@@ -121,4 +137,62 @@ EXPORT int crankbench_held_step(void *self, double t, double h, const double *u,
     (void)h;
     memcpy(y, u, (size_t)(*(const int64_t *)self) * sizeof *y);
     return OK;
+}
+
+/* Keeps and restores what has no state. */
+EXPORT int crankbench_nothing(void *self)
+{
+    (void)self;
+    return OK;
+}
+
+/* Notes what stopped the loop at a part, and returns the status. */
+static SELDOM int stopped(const Loop *loop, const Part *part, int64_t k, int status, Stop *stop)
+{
+    stop->part = part - loop->parts;
+    stop->output = -1;
+    stop->k = k;
+    return status;
+}
+
+/* Says of the first of the parts before `end` that has an output that is not finite; OK where all are. */
+static SELDOM int diverged(const Loop *loop, const Part *end, int64_t k, Stop *stop)
+{
+    for (const Part *part = loop->parts; part < end; part++) {
+        for (int64_t j = 0; j < part->outputs; j++) {
+            if (isfinite(part->y[j])) continue;
+            stopped(loop, part, k, DIVERGED, stop);
+            stop->output = j;
+            return DIVERGED;
+        }
+    }
+    return OK;
+}
+
+/* What a status above OK of a part means to the loop: warnings are counted. */
+static SELDOM int judged(const Loop *loop, Part *part, int64_t k, int status, Stop *stop)
+{
+    if (status == WARNING) {
+        part->warnings++;
+        return OK;
+    }
+    if (diverged(loop, part, k, stop)) return DIVERGED;
+    return stopped(loop, part, k, status, stop);
+}
+
+/* A step of a part, timed. */
+static SELDOM int timed_step(Part *part, double t, double h)
+{
+    const double begin = seconds();
+    const int status = part->step(part->self, t, h, part->u, part->y);
+    part->took[part->timed++ % KEPT] = seconds() - begin;
+    return status;
+}
+
+/* Gathers a part's inputs and steps it. */
+static inline int step_part(const Loop *loop, Part *part, double begin, double length, int64_t timed)
+{
+    const double *bus = loop->bus;
+    for (int64_t j = 0; j < part->gathers; j++) part->gathered[j] = bus[part->inputs[j]];
+    return timed ? timed_step(part, begin, length) : part->step(part->self, begin, length, part->u, part->y);
 }

@@ -30,9 +30,10 @@ LEADING = ("time", "crank")
 class Record:
     """One run: row k holds the instant `time[k]`, column j the signal `signals[j]` in SI.
 
-    `signals` are named `part.signal`; their `unit` is the declared one, for display. `time` has shape (n,) [s], `values`
-    (n, number of signals), and on a crank clock `crank` (n,) [deg]. Where the outcome is neither ok nor warning, `part`, `failed_at` [s] and `message`
-    say what ended the run, and the rows up to there are kept. `tolerated` are the cautions of the parts' FMUs.
+    `signals` are named `part.signal`; their `unit` is the declared one, for display. `time` has shape (n,) [s],
+    `values` (n, number of signals), and on a crank clock `crank` (n,) [deg]. Where the outcome is neither ok nor
+    warning, `part`, `failed_at` [s] and `message` say what ended the run, and the rows up to there are kept.
+    `tolerated` are the cautions of the parts' FMUs.
     """
 
     signals: tuple[Signal, ...]

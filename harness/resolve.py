@@ -41,8 +41,9 @@ def resolve(
 ) -> Resolved | None:
     """The component of a plant, observer or controller; None where problems were found.
 
-    `step` [s] is what the part steps by, 0 where that changes: a `make` with an argument `sample_time` is given it unless
-    the settings say otherwise, and the sample time of a sampled model is to be a multiple of it, or 0: each step. `validation` is for FMU files.
+    `step` [s] is what the part steps by, 0 where that changes: a `make` with an argument `sample_time` is given it
+    unless the settings say otherwise, and the sample time of a sampled model is to be a multiple of it, or 0: each
+    step. `validation` is for FMU files.
     """
     try:
         if spec.use.endswith(".fmu"):

@@ -12,8 +12,9 @@ Order
     In the step to instant k the parts are stepped in the system's order. Each gathers its inputs from the bus at its
     turn: a part stepped earlier shows its value at k, one stepped later its value at k-1; that wire is held, and the
     record lists it. The order follows direct feed-through, so only an input that no output depends on directly is held.
-    A wire with a delay shows the value at k-1 always; so does every wire between plants and controllers that are coupled
-    by Jacobi's method.
+    A wire with a delay shows the value at k-1 always; so does every wire between plants and controllers that are
+    coupled by Jacobi's method. An algebraic loop is refused, or solved: its parts are taken back and stepped again
+    until each sees of the others the values at k.
 Period
     A part with a period of n steps is stepped where n divides k, over (k-n, k], from t_{k-n} with the step n h: at the
     end of its period. Between, its outputs stand. Nothing shows the future. On a crank clock a part may be stepped at
@@ -45,7 +46,7 @@ import signal
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from types import FrameType
@@ -128,7 +129,7 @@ def run(system: System, progress: Progress | None = None, rows: Rows | None = No
                 progress(instant, grid.steps)
         rows.done(used)
     wall = {**started.wall(instant), "total": time.perf_counter() - began}
-    return _record(system, rows.kept(), started.warnings, started.failure, wall)
+    return _record(system, rows.kept(), started.warnings, started.failure, wall, started.notes)
 
 
 def no_rows(system: System) -> Record:
@@ -158,7 +159,12 @@ def crank_angles(system: System, count: int) -> Vector | None:
 
 
 def _record(
-    system: System, rows: Vector, warnings: Mapping[str, int], failure: StepError | None, wall: Mapping[str, float]
+    system: System,
+    rows: Vector,
+    warnings: Mapping[str, int],
+    failure: StepError | None,
+    wall: Mapping[str, float],
+    notes: Sequence[Mapping[str, Any]] = (),
 ) -> Record:
     outcome, part, message = "ok", "", ""
     if failure is not None:
@@ -166,7 +172,7 @@ def _record(
     elif warnings:
         counted = ", ".join(f"{name} {count}" for name, count in warnings.items())
         outcome, part, message = "warning", next(iter(warnings)), f"steps that ended with a warning: {counted}"
-    log: list[Any] = []
+    log: list[Any] = list(notes)
     for slot in system.parts:
         log += [{"part": slot.name, **entry._asdict()} for entry in getattr(slot.component, "log", ())]
     if failure is not None and failure.__cause__ is not None:

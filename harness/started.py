@@ -14,11 +14,12 @@ from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, Component, Nativ
 from fmus.units import parse_unit
 from fmus.whereabouts import doing, here
 from harness.clock import CrankGrid, TimeGrid
+from harness.coupling import Unsolved, loop_message, made_group, scales, solve_start, told, unsolved
 from harness.native import address, library, native_step, settle
-from harness.system import Slot, System
+from harness.system import Group, Slot, System
 
 # Ends of the loop that no part is to blame for: see parts.c.
-STALLED, ASTRAY, ENDED = 6, 7, 8
+STALLED, ASTRAY, ENDED, UNSOLVED = 6, 7, 8, 9
 # How many timed steps of a part loop.c keeps.
 KEPT_TIMES = 256
 
@@ -34,7 +35,9 @@ class _Part(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("step", "self", "u", "gathered", "inputs")),
         ("gathers", ctypes.c_int64),
         ("y", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("outputs", "always", "period")),
+        *((name, ctypes.c_int64) for name in ("outputs", "always")),
+        ("group", ctypes.c_void_p),
+        ("period", ctypes.c_int64),
         ("due", ctypes.c_char_p),
         ("stepped", ctypes.c_int64),
         ("reached", ctypes.c_double),
@@ -72,7 +75,7 @@ class _Loop(ctypes.Structure):
         ("recorded", ctypes.c_void_p),
         ("columns", ctypes.c_int64),
         ("every", ctypes.c_int64),
-        ("here", ctypes.c_void_p),
+        *((name, ctypes.c_void_p) for name in ("here", "steering")),
     ]
 
 
@@ -116,15 +119,22 @@ class StartedSystem:
         self.ended = False
         self.bus = np.array([parse_unit(s.unit).to_si(float(np.asarray(s.start))) for s in system.bus], dtype=float)
         settle()
-        for slot in system.parts:
-            with doing("start", slot.name):
-                self._start(slot)
+        self._start_all()
         self._callbacks: dict[int, _Callback] = {}
         self._grids: dict[int, _FixedGrid] = {}
         self._took = np.zeros((len(system.parts), KEPT_TIMES))
         self._arrays: list[NDArray[Any]] = []
         self._parts = (_Part * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
         self._recorded = np.array(system.recorded, dtype=np.int64)
+        self._held: list[Any] = []
+        groups = [*system.groups, *((system.steered,) if system.steered else ())]
+        self._groups = [
+            (group, made_group(group, system, self._parts, self.bus, self._callbacks, self._held)) for group in groups
+        ]
+        for group, made in self._groups:
+            if group.kind != "steered":
+                self._parts[group.first].group = ctypes.addressof(made)
+                self._parts[group.first].always = 0
         first_places = system.recorded == tuple(range(len(system.recorded)))
         place = here()
         place.entry = place.table = ctypes.addressof(self._parts)
@@ -140,6 +150,7 @@ class StartedSystem:
             len(system.recorded),
             system.every,
             ctypes.addressof(place),
+            next((ctypes.addressof(made) for group, made in self._groups if group.kind == "steered"), None),
         )
         settle()
 
@@ -166,6 +177,13 @@ class StartedSystem:
     def row(self) -> Vector:
         """Time and the recorded signals as they stand on the bus, shape (1 + columns,), SI."""
         return np.concatenate(([self.system.grid.start], self.bus[self._recorded]))
+
+    @property
+    def notes(self) -> list[dict[str, Any]]:
+        """How parts that are stepped together were, as entries of the log."""
+        order = self.system.order
+        entries = [told(one, made, order[one.first : one.first + one.count]) for one, made in self._groups]
+        return [entry for entry in entries if entry is not None]
 
     @property
     def warnings(self) -> dict[str, int]:
@@ -209,6 +227,8 @@ class StartedSystem:
             return self._clock_failure(status, stop.k)
         slot = self.system.parts[stop.part]
         begin, instant = self._span(slot, self._parts[stop.part], stop.k)
+        if status == UNSOLVED:
+            return self._unsolved(stop.part, instant)
         callback = self._callbacks.get(stop.part)
         if callback is not None and status == FATAL:
             raised = callback.raised
@@ -221,6 +241,15 @@ class StartedSystem:
         explain = getattr(slot.component, "failure", None)
         message = explain(status, begin).message if explain else f"the step from {begin:.9g} s ended so"
         return StepError(message, part=slot.name, time=instant, status=status)
+
+    def _unsolved(self, part: int, instant: float) -> StepError:
+        """The error of parts stepped together and given up: `part` is a group's first, or the last that is steered."""
+        for group, made in self._groups:
+            first = group.first + (group.count - 1 if group.kind == "steered" else 0)
+            if first == part:
+                named = self.system.parts[part + (1 if group.torn else 0)].name
+                return StepError(unsolved(group, made, self.system), part=named, time=instant)
+        raise AssertionError("only groups are given up")
 
     def _span(self, slot: Slot, part: _Part, k: int) -> tuple[float, float]:
         """The times [s] that a part's step to instant k led from and to."""
@@ -243,6 +272,38 @@ class StartedSystem:
             message = f"{name} is {math.degrees(value):.6g} deg where the crank clock is at {nominal:.6g} deg"
             message += f", {missed:.3g} deg off: more than half a step; the clock's `origin` is {grid.origin:g} deg"
         return StepError(message, part=name.partition(".")[0], time=self._clock.next)
+
+    def _start_all(self) -> None:
+        """Initialise the parts in order, those of an algebraic loop until it is solved."""
+        parts, first_of = self.system.parts, {group.first: group for group in self.system.groups if group.torn}
+        place = 0
+        while place < len(parts):
+            with doing("start", parts[place].name):
+                self._start(parts[place])
+            if place in first_of:
+                self._start_loop(first_of[place])
+                place += first_of[place].count
+            else:
+                place += 1
+
+    def _start_loop(self, group: Group) -> None:
+        """Initialise the parts of a loop behind its head so that they make of its torn signals what they are given."""
+        system = self.system
+        given, made = ([pair[side] for pair in group.torn] for side in (0, 1))
+        members = system.parts[group.first + 1 : group.first + group.count]
+
+        def make(guess: Vector) -> Vector:
+            self.bus[given] = guess
+            for slot in members:
+                with doing("start", slot.name):
+                    self._start(slot)
+            return self.bus[made]
+
+        try:
+            solve_start(make, self.bus[given], scales(system)[made], system.coupling)
+        except Unsolved as error:
+            message = loop_message(group, system.bus[made[error.place]].name, error.missed, system.coupling)
+            raise StepError(message, part=members[0].name, time=system.grid.start) from None
 
     def _start(self, slot: Slot) -> None:
         begin = self.system.grid.start
@@ -273,7 +334,8 @@ class StartedSystem:
             self._callbacks[index] = _Callback(slot.component, u, y)
             native = self._callbacks[index].native()
         reading = getattr(native, "reading", None)
-        if reading and not direct:
+        grouped = any(one.first <= index < one.first + one.count for one in self.system.groups)
+        if reading and not direct and not grouped:
             native, u, direct = reading(slot.inputs), self.bus, True
         step, itself = native
         if slot.pace.own:

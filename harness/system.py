@@ -10,6 +10,7 @@ from fmus.component import Component, Signal
 from fmus.whereabouts import doing
 from harness.clock import Grid, Pace
 from harness.order import Wire
+from harness.scenario import Coupling
 
 
 @dataclass(frozen=True)
@@ -24,13 +25,31 @@ class Slot:
 
 
 @dataclass(frozen=True)
+class Group:
+    """Parts side by side in the order that are stepped together and can be taken back.
+
+    `kind` says what for: an algebraic loop is solved by `fixed-point` or `newton`, plants take `smaller steps`, a crank
+    clock has the parts up to the plant `steered` exactly. `first` is the place in the order of the first of `count`
+    parts. `torn` are pairs of places on the bus, of what a loop's parts read and of what they make of it, `wires` the
+    torn wires.
+    """
+
+    kind: str
+    first: int
+    count: int
+    torn: tuple[tuple[int, int], ...] = ()
+    wires: tuple[Wire, ...] = ()
+
+
+@dataclass(frozen=True)
 class System:
     """Parts wired on a flat bus of doubles, ready to run.
 
     `parts` in the order they are stepped, `bus` the signals named `part.output` in the order the parts were declared,
     `recorded` the places on the bus that a record keeps, of one instant in `every`. `held` are the wires whose part
     sees the value at k-1. `speed` and `angle` are the places on the bus that a crank clock reads. `settings` are the
-    values the parts were given, in SI. `notes` say, of a part each, how it is stepped otherwise than its FMU wants.
+    values the parts were given, in SI. `groups` are stepped together, as `coupling` says; `steered` are the parts that
+    a crank clock steers exactly. `notes` say, of a part each, how it is stepped otherwise than its FMU wants.
     """
 
     grid: Grid
@@ -44,6 +63,9 @@ class System:
     angle: int | None = None
     settings: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     notes: tuple[tuple[str, str], ...] = ()
+    groups: tuple[Group, ...] = ()
+    steered: Group | None = None
+    coupling: Coupling = field(default_factory=lambda: Coupling.model_validate({}))
 
     @property
     def order(self) -> tuple[str, ...]:

@@ -36,6 +36,15 @@ LOADED = Model(
     solver_step=1e-4,
 )
 
+DRIVEN = Model(
+    name="driven",
+    description="A crankshaft whose speed is a number that it is given",
+    equations=lambda t, x, m, u, p: ({"theta": 50.0 + u.pull}, {"omega": 50.0 + u.pull}),
+    inputs=(Signal("pull"),),
+    states=(Signal("theta", "rad"),),
+    outputs=(Signal("omega", "rad/s", 50.0),),
+)
+
 OSCILLATOR = Model(
     name="oscillator",
     description="A rod that swings",

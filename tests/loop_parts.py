@@ -101,6 +101,14 @@ class Linear:
         self.state = _Linear(len(self.inputs), len(self.outputs), *arrays)
         return Native(_address("linear_step"), ctypes.addressof(self.state))
 
+    def keep(self) -> None:
+        """Remember x."""
+        self.kept = self.x.copy()
+
+    def restore(self) -> None:
+        """Go back to it."""
+        self.x[:] = self.kept
+
     def close(self) -> None:
         """Counted."""
         self.closed += 1

@@ -2,74 +2,317 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmus.component import Component, Vector
+from fmus.fmu import FmuComponent
 from fmus.units import parse_unit
 from harness.clock import CrankGrid, TimeGrid
+from harness.coupling import solve_start
 from harness.sensor import Errors, SensorComponent, lag_weights, split_delay, stream
 from harness.source import SourceComponent
-from harness.system import System
+from harness.system import Group, Slot, System
+
+DEGREE = math.pi / 180.0
 
 
 def run_plainly(system: System) -> Vector:
     """All rows of a system's record, time first, shape (rows, 1 + columns), SI."""
-    grid = system.grid
-    parts = [(slot, twin(slot.component, most_samples(system))) for slot in system.parts]
-    bus = [parse_unit(signal.unit).to_si(float(signal.start)) for signal in system.bus]
-    for slot, part in parts:
-        outputs = part.start(grid.start, np.array([bus[place] for place in slot.inputs]))
-        for place, value in zip(slot.outputs, outputs, strict=True):
-            bus[place] = float(value)
-    rows = [[grid.start, *(bus[place] for place in system.recorded)]]
-    stepped = {slot.name: (0, grid.start) for slot, _ in parts}
-    own_steps = {slot.name: 0 for slot, _ in parts}
-    since, anchored, now, h = 0, grid.start, grid.start, grid.step if isinstance(grid, TimeGrid) else 0.0
-    for k in range(1, grid.steps + 1):
-        if isinstance(grid, TimeGrid):
-            following = grid.start + k * h
-        else:
-            step, speed = grid.numerator / grid.denominator * (math.pi / 180.0), bus[system.speed]
-            wanted = step / speed
-            if system.angle is not None:
-                nominal = grid.origin + (k - 1) * grid.numerator / grid.denominator
-                missed = math.remainder(bus[system.angle] - nominal * (math.pi / 180.0), 360.0 * (math.pi / 180.0))
-                wanted = (step - missed) / speed
-            if wanted != h:
-                since, anchored, h = k - 1, now, wanted
-            following = anchored + (k - since) * h
-        for slot, part in parts:
-            last, last_time = stepped[slot.name]
-            pace = slot.pace
-            if not (pace.due[k % grid.cycle] if pace.due else k % pace.period == 0):
-                continue
-            stepped[slot.name] = (k, following)
-            if isinstance(grid, TimeGrid):
-                begin, length = grid.start + last * h, (k - last) * h
+    return PlainRun(system).rows()
+
+
+class PlainRun:
+    """A run step by step: the laws of time as the loop has them, with the parts' twins."""
+
+    def __init__(self, system: System) -> None:
+        self.system, self.grid = system, system.grid
+        self.parts = [twin(slot.component, most_samples(system)) for slot in system.parts]
+        self.bus = [parse_unit(signal.unit).to_si(float(signal.start)) for signal in system.bus]
+        self.groups = {group.first: group for group in system.groups}
+        self.levels = dict.fromkeys(self.groups, 0)
+        self.nominals = [abs(signal.nominal * parse_unit(signal.unit).factor) or 1.0 for signal in system.bus]
+
+    def rows(self) -> Vector:
+        """Start, then instant after instant."""
+        system, grid = self.system, self.grid
+        index = 0
+        while index < len(self.parts):
+            self._start(index)
+            group = self.groups.get(index)
+            if group is not None and group.torn:
+                self._start_loop(group)
+                index += group.count
             else:
-                begin, length = last_time, (k - last) * h if last >= since else following - last_time
-            spans = [(begin, length)]
-            if pace.own:
-                spans = []
-                made = own_steps[slot.name]
-                while grid.start + (made + 1) * pace.own <= begin + length + 1e-6 * pace.own:
-                    spans.append((grid.start + made * pace.own, pace.own))
-                    made += 1
-                own_steps[slot.name] = made
-            u = np.array([bus[place] for place in slot.inputs])
-            for span in spans:
-                outputs = part.step(*span, u)
-                for place, value in zip(slot.outputs, outputs, strict=True):
-                    bus[place] = float(value)
-        now = following
-        if k % system.every == 0:
-            rows.append([following, *(bus[place] for place in system.recorded)])
-        if isinstance(grid, CrankGrid) and following >= grid.stop - 1e-9:
-            break
-    return np.array(rows).reshape(-1, 1 + len(system.recorded))
+                index += 1
+        self.pasts = [past_of(system.parts[i], part) for i, part in enumerate(self.parts)]
+        rows = [[grid.start, *(self.bus[place] for place in system.recorded)]]
+        self.stepped = {slot.name: (0, grid.start) for slot in system.parts}
+        self.own_steps = {slot.name: 0 for slot in system.parts}
+        self.since, self.anchored, self.now = 0, grid.start, grid.start
+        self.h = grid.step if isinstance(grid, TimeGrid) else 0.0
+        for k in range(1, grid.steps + 1):
+            begin = 0
+            if isinstance(grid, TimeGrid):
+                self.following = grid.start + k * self.h
+            else:
+                self._turn(k)
+                if system.steered is not None:
+                    begin = self._steer(k, system.steered.count)
+            self._instant(k, begin)
+            self.now = self.following
+            if k % system.every == 0:
+                rows.append([self.following, *(self.bus[place] for place in system.recorded)])
+            if isinstance(grid, CrankGrid) and self.following >= grid.stop - 1e-9:
+                break
+        return np.array(rows).reshape(-1, 1 + len(system.recorded))
+
+    # The clock
+
+    def _missed(self, k: int) -> float:
+        grid = self.grid
+        nominal = grid.origin + k * grid.numerator / grid.denominator
+        return math.remainder(self.bus[self.system.angle] - nominal * DEGREE, 360.0 * DEGREE)
+
+    def _turn(self, k: int) -> None:
+        step, speed = self.grid.numerator / self.grid.denominator * DEGREE, self.bus[self.system.speed]
+        missed = 0.0 if self.system.angle is None else self._missed(k - 1)
+        self._stride(k, (step - missed) / speed if self.system.angle is not None else step / speed)
+
+    def _stride(self, k: int, h: float) -> None:
+        if h != self.h:
+            self.since, self.anchored, self.h = k - 1, self.now, h
+        self.following = self.anchored + (k - self.since) * self.h
+
+    def _steer(self, k: int, count: int) -> int:
+        saved = self._keep(0, count)
+        while True:
+            self._sweep(0, count, self.now, self.h)
+            missed, speed = self._missed(k), self.bus[self.system.speed]
+            if abs(missed) <= 1e-10 + 4.0 * 2.220446049250313e-16 * abs(self.bus[self.system.angle]):
+                return count
+            self._restore(0, count, saved)
+            self._stride(k, self.h - missed / speed)
+
+    # Parts
+
+    def _inputs(self, index: int) -> Vector:
+        return np.array([self.bus[place] for place in self.system.parts[index].inputs])
+
+    def _put(self, index: int, outputs: Any) -> None:
+        for place, value in zip(self.system.parts[index].outputs, outputs, strict=True):
+            self.bus[place] = float(value)
+
+    def _start(self, index: int) -> None:
+        self._put(index, self.parts[index].start(self.grid.start, self._inputs(index)))
+
+    def _instant(self, k: int, begin: int) -> None:
+        index = begin
+        while index < len(self.parts):
+            span = self._span(self.system.parts[index], k)
+            group = self.groups.get(index)
+            if group is not None:
+                if span is not None:
+                    solve = self._smaller_steps if group.kind == "smaller steps" else self._solve
+                    solve(group, *span)
+                index += group.count
+                continue
+            if span is not None:
+                u = self._inputs(index)
+                for one in self._own(self.system.parts[index], *span):
+                    self._put(index, self.parts[index].step(*one, u))
+            index += 1
+
+    def _span(self, slot: Slot, k: int) -> tuple[float, float] | None:
+        """Begin and length of the step to instant k; None where the part is not stepped to it."""
+        pace, (last, last_time) = slot.pace, self.stepped[slot.name]
+        if not (pace.due[k % self.grid.cycle] if pace.due else k % pace.period == 0):
+            return None
+        self.stepped[slot.name] = (k, self.following)
+        if isinstance(self.grid, TimeGrid):
+            return self.grid.start + last * self.h, (k - last) * self.h
+        return last_time, (k - last) * self.h if last >= self.since else self.following - last_time
+
+    def _own(self, slot: Slot, begin: float, length: float) -> list[tuple[float, float]]:
+        """The steps of a part that keeps a grid of its own; the one step of any other."""
+        own = slot.pace.own
+        if not own:
+            return [(begin, length)]
+        spans, made = [], self.own_steps[slot.name]
+        while self.grid.start + (made + 1) * own <= begin + length + 1e-6 * own:
+            spans.append((self.grid.start + made * own, own))
+            made += 1
+        self.own_steps[slot.name] = made
+        return spans
+
+    # Parts that are stepped together
+
+    def _keep(self, first: int, count: int) -> list[float]:
+        for past in self.pasts[first : first + count]:
+            past.keep()
+        return list(self.bus)
+
+    def _restore(self, first: int, count: int, saved: list[float]) -> None:
+        for index in range(first, first + count):
+            self.pasts[index].restore()
+            for place in self.system.parts[index].outputs:
+                self.bus[place] = saved[place]
+
+    def _sweep(self, first: int, count: int, t: float, h: float) -> None:
+        for index in range(first, first + count):
+            self._put(index, self.parts[index].step(t, h, self._inputs(index)))
+
+    def _start_loop(self, group: Group) -> None:
+        given, made = ([pair[side] for pair in group.torn] for side in (0, 1))
+
+        def make(guess: Vector) -> Vector:
+            for place, value in zip(given, guess, strict=True):
+                self.bus[place] = float(value)
+            for index in range(group.first + 1, group.first + group.count):
+                self._start(index)
+            return np.array([self.bus[place] for place in made])
+
+        nominals = np.array([self.nominals[place] for place in made])
+        solve_start(make, np.array([self.bus[place] for place in given]), nominals, self.system.coupling)
+
+    def _solve(self, group: Group, t: float, h: float) -> None:
+        settings, first, count = self.system.coupling, group.first, group.count
+        given, made = ([pair[side] for pair in group.torn] for side in (0, 1))
+        n = len(given)
+        nominals = [self.nominals[place] for place in made]
+        saved = self._keep(first, count)
+        self._sweep(first, 1, t, h)
+        guess = [self.bus[place] for place in given]
+
+        def evaluate() -> list[float]:
+            self._restore(first, count, saved)
+            for place, value in zip(given, guess, strict=True):
+                self.bus[place] = value
+            self._sweep(first + 1, count - 1, t, h)
+            return [self.bus[place] for place in made]
+
+        while True:
+            found = evaluate()
+            residual = [one - other for one, other in zip(found, guess, strict=True)]
+            sizes = [max(abs(a), abs(b), c) for a, b, c in zip(found, guess, nominals, strict=True)]
+            if max(abs(r) / size for r, size in zip(residual, sizes, strict=True)) <= settings.tolerance:
+                return
+            share = settings.relaxation
+            if settings.solve == "newton":
+                matrix = self._jacobian(group, guess, found, evaluate, nominals)
+                residual = [r / nominal for r, nominal in zip(residual, nominals, strict=True)]
+                eliminate(matrix, residual)
+                residual = [r * nominal for r, nominal in zip(residual, nominals, strict=True)]
+                share = 1.0
+            for i in range(n):
+                guess[i] += share * residual[i]
+
+    def _jacobian(
+        self, group: Group, guess: list[float], found: list[float], evaluate: Any, nominals: list[float]
+    ) -> list[list[float]]:
+        """1 - dG/dz in units of the nominal values, by the derivatives of the parts where all have them."""
+        n = len(guess)
+        matrix = [[0.0] * n for _ in range(n)]
+        members = range(group.first + 1, group.first + group.count)
+        given = all(self.pasts[index].derivative is not None for index in members)
+        for column in range(n):
+            width = 1.0
+            if given:
+                slopes = [0.0] * len(self.bus)
+                slopes[group.torn[column][0]] = 1.0
+                for index in members:
+                    slot = self.system.parts[index]
+                    changed = self.pasts[index].derivative([slopes[place] for place in slot.inputs])
+                    for place, value in zip(slot.outputs, changed, strict=True):
+                        slopes[place] = value
+                changes = [slopes[made] for _, made in group.torn]
+            else:
+                kept = guess[column]
+                guess[column] += 1e-7 * max(abs(kept), nominals[column])
+                width = guess[column] - kept
+                changes = [one - other for one, other in zip(evaluate(), found, strict=True)]
+                guess[column] = kept
+            for i in range(n):
+                matrix[i][column] = (i == column) - changes[i] / width * nominals[column] / nominals[i]
+        return matrix
+
+    def _smaller_steps(self, group: Group, t: float, h: float) -> None:
+        first, count, wanted = group.first, group.count, self.system.coupling.error
+        places = [place for index in range(first, first + count) for place in self.system.parts[index].outputs]
+        whole, done = 1 << 20, 0
+        while done < whole:
+            share = whole >> self.levels[first]
+            begin, length = t + h * done / whole, h * share / whole
+            middle = begin + 0.5 * length
+            saved = self._keep(first, count)
+            self._sweep(first, count, begin, length)
+            other = [self.bus[place] for place in places]
+            self._restore(first, count, saved)
+            self._sweep(first, count, begin, middle - begin)
+            self._sweep(first, count, middle, begin + length - middle)
+            missed = max(
+                abs(self.bus[place] - one) / max(abs(self.bus[place]), self.nominals[place])
+                for place, one in zip(places, other, strict=True)
+            )
+            if missed <= wanted:
+                done += share
+                if self.levels[first] and missed < 0.1 * wanted and done % (2 * share) == 0:
+                    self.levels[first] -= 1
+            else:
+                self.levels[first] += 1
+                self._restore(first, count, saved)
+
+
+def eliminate(matrix: list[list[float]], b: list[float]) -> None:
+    """Solve in place by elimination with pivoting by rows relative to their largest entry, or one."""
+    n = len(b)
+    for c in range(n):
+        sizes = [abs(matrix[i][c]) / max(1.0, *(abs(v) for v in matrix[i][c:])) for i in range(c, n)]
+        best = c + sizes.index(max(sizes))
+        matrix[c], matrix[best], b[c], b[best] = matrix[best], matrix[c], b[best], b[c]
+        for i in range(c + 1, n):
+            factor = matrix[i][c] / matrix[c][c]
+            matrix[i] = [*matrix[i][:c], *(v - factor * p for v, p in zip(matrix[i][c:], matrix[c][c:], strict=True))]
+            b[i] -= factor * b[c]
+    for i in reversed(range(n)):
+        for j in range(i + 1, n):
+            b[i] -= matrix[i][j] * b[j]
+        b[i] /= matrix[i][i]
+
+
+class Past(NamedTuple):
+    """How the oracle takes a part back; `derivative` is None where C has none."""
+
+    keep: Callable[[], Any]
+    restore: Callable[[], Any]
+    derivative: Callable[[list[float]], list[float]] | None = None
+
+
+_Move = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
+_Derive = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
+
+
+def past_of(slot: Slot, part: Any) -> Past:
+    """The way back of a twin by its own methods, of an FMU by the functions that C calls, of others none."""
+    if not isinstance(part, FmuComponent):
+        nothing = lambda: None  # noqa: E731
+        return Past(getattr(part, "keep", nothing), getattr(part, "restore", nothing))
+    way = part.reversal()
+    if way is None:
+        return Past(lambda: None, lambda: None)
+
+    def derivative(du: list[float]) -> list[float]:
+        given, found = np.array(du), np.zeros(len(slot.outputs))
+        _Derive(way.derivative)(way.self, given.ctypes.data, found.ctypes.data)
+        return list(found)
+
+    moves = [partial(_Move(function), way.self) for function in (way.keep, way.restore)]
+    return Past(*moves, derivative if way.derivative else None)
 
 
 def most_samples(system: System) -> int:
@@ -92,6 +335,15 @@ class SensorTwin:
         self.errors, self.period = errors, period
         self.normals = stream(seed, part, "noise").standard_normal(samples)
         self.uniforms = stream(seed, part, "drop_out").random(samples)
+
+    def keep(self) -> None:
+        """Remember how long its history is."""
+        self.kept = len(self.signal)
+
+    def restore(self) -> None:
+        """Forget what came after."""
+        for history in (self.lagged, self.signal, self.readings):
+            del history[self.kept :]
 
     def start(self, t0: float, u: Sequence[float]) -> list[float]:
         """The initialised reading."""
