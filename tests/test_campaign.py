@@ -347,8 +347,8 @@ DOCS = Path(__file__).parent.parent / "docs"
 
 def examples():
     """The campaign files in the documentation."""
-    blocks = re.findall(r"```yaml\n(.*?)```", (DOCS / "campaign.md").read_text(), re.DOTALL)
-    return [block for block in blocks if block.startswith("campaign:")]
+    pages = "".join(page.read_text() for page in sorted(DOCS.glob("*.md")))
+    return [block for block in re.findall(r"```yaml\n(.*?)```", pages, re.DOTALL) if block.startswith("campaign:")]
 
 
 @pytest.mark.parametrize("text", examples())

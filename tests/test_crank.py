@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,9 @@ from hypothesis import strategies as st
 from oracle import run_plainly
 
 from fmus.component import ConfigurationError
-from harness.record import Record
+from harness.campaign import read_campaign
+from harness.cases import execute
+from harness.record import Record, read_signals
 from harness.run import run
 from harness.scenario import Scenario
 from harness.system import System
@@ -189,6 +193,17 @@ def test_only_one_row_in_so_many_is_kept_where_that_is_asked_for() -> None:
     assert tenth.time.tobytes() == everything.time[::7].tobytes()
     assert tenth.values.tobytes() == np.ascontiguousarray(everything.values[::7]).tobytes()
     assert everything.crank is not None and np.array_equal(tenth.crank, everything.crank[::7])
+
+
+def test_the_example_of_the_documentation_is_accepted(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "clocks.md").read_text(encoding="utf-8")
+    (text,) = [block for block in re.findall(r"```yaml\n(.*?)```", page, re.DOTALL) if block.startswith("campaign:")]
+    (tmp_path / "crank.yaml").write_text(text, encoding="utf-8")
+    result = execute(read_campaign(tmp_path / "crank.yaml"), tmp_path / "out", 1, lambda ended: None)
+    assert result.accepted, result.verdicts
+    (signals,) = (tmp_path / "out" / "cases").glob("*/signals.parquet")
+    record = read_signals(signals)
+    assert np.array_equal(record.crank, 6.0 * np.arange(6001))
 
 
 # Failure
