@@ -19,11 +19,13 @@ from hypothesis import strategies as st
 from lawbook import Course, Step, check_component, inputs_at, move
 from models import BALL, EVERY_KIND, FILTER, LAG
 from oracle import SensorTwin
+from scipy.integrate import solve_ivp
 from test_clocks import clock_fmu
 from third_party import OPENMODELICA, reference_fmu, third_party_fmu
 
 from fmus.component import ERROR, FATAL, OK, Reversal, Reversible, Signal, StepError, Vector
 from fmus.description import FmuKind
+from fmus.exchange import Stepping
 from fmus.export import cached_fmu
 from fmus.fmu import FmuComponent, load_fmu
 from fmus.model import Model
@@ -108,6 +110,73 @@ def test_events_of_all_sorts_in_model_exchange_are_gone_back_over(tmp_path: Path
     names = [signal.name for signal in component.outputs]
     assert rows[-1, names.index("ticks")] >= 8 and rows[-1, names.index("switches")] >= 1
     component.close()
+
+
+# x follows u and crosses a threshold; once it did, the indicator of `once` lies at zero for ever.
+CROSSING = Model(
+    name="crossing",
+    description="x' = 2 (u - x) + sin 9t, which crosses 0.5",
+    equations=lambda t, x, m, u, p: ({"x": 2.0 * (u.u - x.x) + np.sin(9.0 * t)}, {}),
+    inputs=(Signal("u", start=1.0),),
+    states=(Signal("x"),),
+    discrete=(Signal("above"), Signal("once")),
+    indicator_names=("crossed", "frozen"),
+    indicators=lambda t, x, m, u, p: {"crossed": x.x - 0.5, "frozen": np.where(m.once > 0.5, 0.0, x.x - 0.6)},
+    transition=lambda t, x, m, u, p, above: {
+        "above": np.where(above.crossed, 1.0, 0.0),
+        "once": np.where(above.frozen, 1.0, m.once),
+    },
+)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("kept", range(30))
+def test_a_solver_goes_back_over_an_event_wherever_it_was_kept(fmi: int, kept: int):
+    component = load_fmu(cached_fmu(CROSSING, fmi), kind="me")
+    way, h, u = started(component), 0.01, np.ones(1)
+    for k in range(kept):
+        component.step(k * h, h, u)
+    assert Move(way.keep)(way.self) == OK
+
+    def onward() -> Vector:
+        return np.array([component.step(k * h, h, u) for k in range(kept, kept + 40)])
+
+    went = onward()
+    assert went[-1, 1] == went[-1, 2] == 1.0
+    assert Move(way.restore)(way.self) == OK
+    assert went.tobytes() == onward().tobytes()
+    component.close()
+
+
+@pytest.mark.parametrize("before", [1e-6, 3e-6, 1e-5, 1e-4])
+def test_an_event_just_after_the_kept_state_is_found_again_though_its_indicator_came_to_rest(before: float):
+    def passed(t: float, x: Vector) -> float:
+        return float(x[0]) - 0.6
+
+    def rates(t: float, x: Vector) -> Vector:
+        return 2.0 * (1.0 - x) + np.sin(9.0 * t)
+
+    when = solve_ivp(rates, (0.0, 1.0), [0.0], events=passed, rtol=1e-10, atol=1e-10).t_events[0][0]
+    component = load_fmu(cached_fmu(CROSSING, 2), kind="me", stepping=Stepping(tolerance=1e-9))
+    way, h, u = started(component), when - before, np.ones(1)
+    component.step(0.0, h, u)
+    assert Move(way.keep)(way.self) == OK
+    went = np.array([component.step(h + 0.02 * k, 0.02, u) for k in range(20)])
+    assert went[0, 2] == 1.0
+    assert Move(way.restore)(way.self) == OK
+    assert went.tobytes() == np.array([component.step(h + 0.02 * k, 0.02, u) for k in range(20)]).tobytes()
+    component.close()
+
+
+def test_an_input_that_changed_after_the_state_was_kept_changes_again(tmp_path: Path):
+    for component in (load_fmu(cached_fmu(CROSSING, 2), kind="me"), load_fmu(clock_fmu(tmp_path))):
+        way = started(component)
+        component.step(0.0, 0.1, np.array([0.25]))
+        assert Move(way.keep)(way.self) == OK
+        went = component.step(0.1, 0.1, np.array([2.0]))
+        assert Move(way.restore)(way.self) == OK
+        assert component.step(0.1, 0.1, np.array([2.0])).tobytes() == went.tobytes()
+        component.close()
 
 
 def test_a_solver_that_starts_anew_at_each_instant_is_as_exact():
