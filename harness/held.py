@@ -5,8 +5,8 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 
-from fmus.component import Native, Role, Signal, Vector
-from harness.native import native_step
+from fmus.component import Native, Reversal, Role, Signal, Vector
+from harness.native import native_reversal, native_step
 
 
 class HeldComponent:
@@ -31,6 +31,10 @@ class HeldComponent:
     def native(self) -> Native:
         """The step in C."""
         return native_step("crankbench_held_step", self._count)
+
+    def reversal(self) -> Reversal:
+        """Keeping and going back in C, which do nothing: what it shows is on the bus."""
+        return native_reversal("crankbench_stateless_keep", "crankbench_stateless_keep", self._count)
 
     def close(self) -> None:
         """Nothing is held beyond the values."""
