@@ -77,7 +77,8 @@ static int copy_beside(Past *past)
     return OK;
 }
 
-/* A solver has a history that cannot be kept. From a kept state on it starts anew, the first time as after a return. */
+/* A solver has a history that cannot be kept. From a kept state on it starts anew, the first time as after a return.
+ * CVODE's own way to start anew leaves root functions asleep that rested at zero, so that it is made anew. */
 static void begin_anew(Past *past)
 {
     if (!past->exchange)

@@ -1,7 +1,7 @@
 /* A crank: angle, cycle and phases, counted along a crank clock or read off an angle that is measured. */
 
 typedef struct {
-    int64_t k;             /* instants counted */
+    int64_t k, kept;       /* instants counted, now and when the state was kept */
     double numerator, denominator, origin; /* of the clock [deg], see clock.c */
     int64_t measures;      /* 1: the angle is u[0] [rad]; 0: it is counted, and u[0], where there is one, gives a residual */
     int64_t residual;      /* 1: the last output is how far u[0] is ahead of the counted angle */
@@ -54,5 +54,17 @@ EXPORT int crankbench_crank_step(void *self, double t, double h, const double *u
     (void)h;
     crank->k++;
     crank_outputs(crank, u, y);
+    return OK;
+}
+
+EXPORT int crankbench_crank_keep(void *self)
+{
+    ((Crank *)self)->kept = ((Crank *)self)->k;
+    return OK;
+}
+
+EXPORT int crankbench_crank_restore(void *self)
+{
+    ((Crank *)self)->k = ((Crank *)self)->kept;
     return OK;
 }

@@ -7,17 +7,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fmus.component import Native, Role, Signal, StepError, Vector
+from fmus.component import Native, Reversal, Role, Signal, StepError, Vector
 from harness.clock import CrankGrid, Grid, degrees, read_tdc
 from harness.findings import Findings
-from harness.native import address, native_step
+from harness.native import address, native_reversal, native_step
 from harness.native import library as native_library
 from harness.scenario import CrankPart
 
 
 class _Crank(ctypes.Structure):
     _fields_ = [
-        ("k", ctypes.c_int64),
+        *((name, ctypes.c_int64) for name in ("k", "kept")),
         *((name, ctypes.c_double) for name in ("numerator", "denominator", "origin")),
         *((name, ctypes.c_int64) for name in ("measures", "residual")),
         ("cycle", ctypes.c_double),
@@ -81,6 +81,10 @@ class CrankComponent:
     def native(self) -> Native:
         """The step in C."""
         return native_step("crankbench_crank_step", self._started())
+
+    def reversal(self) -> Reversal:
+        """Keeping and going back in C: what is counted."""
+        return native_reversal("crankbench_crank_keep", "crankbench_crank_restore", self._started())
 
     def close(self) -> None:
         """Forget the state: it wants a start before the next step."""

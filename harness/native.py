@@ -33,7 +33,7 @@ def native_step(function: str, state: ctypes.Structure | ctypes.c_int64) -> Nati
     return Native(_function(function), ctypes.addressof(state))
 
 
-def native_reversal(keep: str, restore: str, state: ctypes.Structure) -> Reversal:
+def native_reversal(keep: str, restore: str, state: ctypes.Structure | ctypes.c_int64) -> Reversal:
     """Two functions of the library and the structure they work on, as what takes a part back; no derivative."""
     return Reversal(_function(keep), _function(restore), 0, ctypes.addressof(state))
 

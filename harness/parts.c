@@ -139,13 +139,6 @@ EXPORT int crankbench_held_step(void *self, double t, double h, const double *u,
     return OK;
 }
 
-/* Keeps and restores what has no state. */
-EXPORT int crankbench_nothing(void *self)
-{
-    (void)self;
-    return OK;
-}
-
 /* Notes what stopped the loop at a part, and returns the status. */
 static SELDOM int stopped(const Loop *loop, const Part *part, int64_t k, int status, Stop *stop)
 {

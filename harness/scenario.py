@@ -276,7 +276,10 @@ WiredFrom = Annotated[
 class ModelPart(Strict):
     """A plant, observer or controller: an FMU, or a module that holds a MODEL or a `make`."""
 
-    use: str = Field(description="a module like observers.hybrid, or the path of an .fmu from the campaign file")
+    use: str = Field(
+        description="a module like observers.hybrid, or the path of an .fmu from the campaign file",
+        json_schema_extra={"not": {"enum": ["source", "sensor", "crank"]}},
+    )
     parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
     settings: dict[str, Any] = Field(
         default_factory=dict, alias="with", description="parameters and start values by name"

@@ -36,10 +36,3 @@ EXPORT int crankbench_source_step(void *self, double t, double h, const double *
     y[0] = s->values[low] + share * (s->values[low + 1] - s->values[low]);
     return OK;
 }
-
-/* A source has no state: there is nothing to keep, and to go back to it is to do nothing. */
-EXPORT int crankbench_source_keep(void *self)
-{
-    (void)self;
-    return OK;
-}

@@ -85,7 +85,7 @@ class SourceComponent:
 
     def reversal(self) -> Reversal:
         """Keeping and going back in C, which do nothing: a source has no state."""
-        return native_reversal("crankbench_source_keep", "crankbench_source_keep", self._started())
+        return native_reversal("crankbench_stateless_keep", "crankbench_stateless_keep", self._started())
 
     def close(self) -> None:
         """Forget the state: it wants a start before the next step."""

@@ -19,17 +19,23 @@ from hypothesis import strategies as st
 from lawbook import Course, Step, check_component, inputs_at, move
 from models import BALL, EVERY_KIND, FILTER, LAG
 from oracle import SensorTwin
+from scipy.integrate import solve_ivp
 from test_clocks import clock_fmu
 from third_party import OPENMODELICA, reference_fmu, third_party_fmu
 
 from fmus.component import ERROR, FATAL, OK, Reversal, Reversible, Signal, StepError, Vector
 from fmus.description import FmuKind
+from fmus.exchange import Stepping
 from fmus.export import cached_fmu
 from fmus.fmu import FmuComponent, load_fmu
 from fmus.model import Model
 from fmus.plants.driveline import MODEL as DRIVELINE
 from harness import sensor as sensor_module
-from harness.reversal import reversal_of
+from harness.clock import CrankGrid
+from harness.crank import CrankComponent
+from harness.held import HeldComponent
+from harness.native import native_step
+from harness.reversal import WayBack, on_a_grid, reversal_of
 from harness.sensor import REVERSIBLE, Errors, FaultWindow, SensorComponent
 
 Move = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
@@ -108,6 +114,73 @@ def test_events_of_all_sorts_in_model_exchange_are_gone_back_over(tmp_path: Path
     names = [signal.name for signal in component.outputs]
     assert rows[-1, names.index("ticks")] >= 8 and rows[-1, names.index("switches")] >= 1
     component.close()
+
+
+# x follows u and crosses a threshold; once it did, the indicator of `once` lies at zero for ever.
+CROSSING = Model(
+    name="crossing",
+    description="x' = 2 (u - x) + sin 9t, which crosses 0.5",
+    equations=lambda t, x, m, u, p: ({"x": 2.0 * (u.u - x.x) + np.sin(9.0 * t)}, {}),
+    inputs=(Signal("u", start=1.0),),
+    states=(Signal("x"),),
+    discrete=(Signal("above"), Signal("once")),
+    indicator_names=("crossed", "frozen"),
+    indicators=lambda t, x, m, u, p: {"crossed": x.x - 0.5, "frozen": np.where(m.once > 0.5, 0.0, x.x - 0.6)},
+    transition=lambda t, x, m, u, p, above: {
+        "above": np.where(above.crossed, 1.0, 0.0),
+        "once": np.where(above.frozen, 1.0, m.once),
+    },
+)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("kept", range(30))
+def test_a_solver_goes_back_over_an_event_wherever_it_was_kept(fmi: int, kept: int):
+    component = load_fmu(cached_fmu(CROSSING, fmi), kind="me")
+    way, h, u = started(component), 0.01, np.ones(1)
+    for k in range(kept):
+        component.step(k * h, h, u)
+    assert Move(way.keep)(way.self) == OK
+
+    def onward() -> Vector:
+        return np.array([component.step(k * h, h, u) for k in range(kept, kept + 40)])
+
+    went = onward()
+    assert went[-1, 1] == went[-1, 2] == 1.0
+    assert Move(way.restore)(way.self) == OK
+    assert went.tobytes() == onward().tobytes()
+    component.close()
+
+
+@pytest.mark.parametrize("before", [1e-6, 3e-6, 1e-5, 1e-4])
+def test_an_event_just_after_the_kept_state_is_found_again_though_its_indicator_came_to_rest(before: float):
+    def passed(t: float, x: Vector) -> float:
+        return float(x[0]) - 0.6
+
+    def rates(t: float, x: Vector) -> Vector:
+        return 2.0 * (1.0 - x) + np.sin(9.0 * t)
+
+    when = solve_ivp(rates, (0.0, 1.0), [0.0], events=passed, rtol=1e-10, atol=1e-10).t_events[0][0]
+    component = load_fmu(cached_fmu(CROSSING, 2), kind="me", stepping=Stepping(tolerance=1e-9))
+    way, h, u = started(component), when - before, np.ones(1)
+    component.step(0.0, h, u)
+    assert Move(way.keep)(way.self) == OK
+    went = np.array([component.step(h + 0.02 * k, 0.02, u) for k in range(20)])
+    assert went[0, 2] == 1.0
+    assert Move(way.restore)(way.self) == OK
+    assert went.tobytes() == np.array([component.step(h + 0.02 * k, 0.02, u) for k in range(20)]).tobytes()
+    component.close()
+
+
+def test_an_input_that_changed_after_the_state_was_kept_changes_again(tmp_path: Path):
+    for component in (load_fmu(cached_fmu(CROSSING, 2), kind="me"), load_fmu(clock_fmu(tmp_path))):
+        way = started(component)
+        component.step(0.0, 0.1, np.array([0.25]))
+        assert Move(way.keep)(way.self) == OK
+        went = component.step(0.1, 0.1, np.array([2.0]))
+        assert Move(way.restore)(way.self) == OK
+        assert component.step(0.1, 0.1, np.array([2.0])).tobytes() == went.tobytes()
+        component.close()
 
 
 def test_a_solver_that_starts_anew_at_each_instant_is_as_exact():
@@ -486,6 +559,60 @@ def test_a_sensor_goes_back_over_so_many_samples_and_not_over_one_more():
     driven.samples(0, 3)
     driven.keep()
     assert driven.samples(0, 200) == driven.wanted(200), "keeping changes what comes after the samples to go back over"
+
+
+# ---- cranks, held wires, and parts on a grid of their own ----
+
+
+def test_a_crank_goes_back_to_what_it_counted():
+    grid = CrankGrid(0.0, 1000, np.inf, 720.0, 120, 0.0, 120, (0.0, 360.0), 0.1)
+    check_component(lambda: CrankComponent(grid, None, 720.0, (0.0, 360.0)), Course(steps=200))
+
+
+def test_a_held_wire_has_nothing_to_go_back_to():
+    held = HeldComponent((Signal("a"), Signal("b")))
+    found = reversal_of(held)
+    for name in ("keep", "restore"):
+        move(found, name)
+
+
+class FixedGrid(ctypes.Structure):
+    """The struct of parts.c."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("step", "self")),
+        *((name, ctypes.c_double) for name in ("t0", "h")),
+        ("count", ctypes.c_int64),
+    )
+
+
+def test_a_part_on_a_grid_of_its_own_goes_back_with_the_steps_it_made():
+    driven = Driven(Errors(noise=1.0), 0)
+    grid = FixedGrid(driven.native.step, driven.native.self, 0.0, H)
+    found = on_a_grid(reversal_of(driven.sensor), grid)
+    step, y = Step(native_step("crankbench_grid_step", grid).step), np.zeros(1)
+
+    def onward() -> list[float]:
+        readings = []
+        y[0] = 0.0  # the outputs are the caller's to put back
+        for k in range(7, 20):
+            u = np.array([signal_of(1, k)])
+            assert step(ctypes.addressof(grid), 0.3 * k * H, 0.3 * H, u.ctypes.data, y.ctypes.data) == OK
+            readings.append(float(y[0]))
+        return readings
+
+    u = np.zeros(1)
+    assert step(ctypes.addressof(grid), 0.0, 2.1 * H, u.ctypes.data, y.ctypes.data) == OK
+    move(found, "keep")
+    first = onward()
+    assert grid.count == 6
+    move(found, "restore")
+    assert grid.count == 2
+    assert onward() == first
+
+
+def test_a_part_that_cannot_be_taken_back_cannot_on_a_grid_either():
+    assert on_a_grid(WayBack(None, "so"), FixedGrid()) == WayBack(None, "so")
 
 
 # ---- parts in Python ----
