@@ -1,4 +1,4 @@
-/* Takes back what has no keep and restore in C of its own: parts without a state, written in Python, on a grid. */
+/* Takes back what has no keep and restore in C of its own: parts without a state, parts written in Python. */
 
 /* A part without a state: there is nothing to keep, and to go back is to do nothing. */
 EXPORT int crankbench_stateless_keep(void *self)
@@ -7,7 +7,8 @@ EXPORT int crankbench_stateless_keep(void *self)
     return OK;
 }
 
-/* A part written in Python, by methods of its own. A call cannot pass on what is raised, so that it counts as FATAL unless Python says otherwise at its last line. */
+/* A part written in Python, by methods of its own. A call cannot pass on what is raised, so that it counts as FATAL
+ * unless Python says otherwise at its last line. */
 typedef struct {
     void (*keep)(void);
     void (*restore)(void);
@@ -28,27 +29,4 @@ EXPORT int crankbench_python_restore(void *self)
     past->status = FATAL;
     past->restore();
     return (int)past->status;
-}
-
-/* A part on a grid of its own in time: what takes the part back, and how many steps of its grid were made. */
-typedef struct {
-    int (*keep)(void *self);
-    int (*restore)(void *self);
-    void *self;
-    FixedGrid *grid;
-    int64_t count;
-} GridPast;
-
-EXPORT int crankbench_grid_keep(void *self)
-{
-    GridPast *past = (GridPast *)self;
-    past->count = past->grid->count;
-    return past->keep(past->self);
-}
-
-EXPORT int crankbench_grid_restore(void *self)
-{
-    GridPast *past = (GridPast *)self;
-    past->grid->count = past->count;
-    return past->restore(past->self);
 }

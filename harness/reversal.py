@@ -46,10 +46,6 @@ class WayBack(NamedTuple):
     held: object = None
 
 
-class _GridPast(ctypes.Structure):
-    _fields_ = [*((name, ctypes.c_void_p) for name in ("keep", "restore", "self", "grid")), ("count", ctypes.c_int64)]
-
-
 class _PythonPast(ctypes.Structure):
     _fields_ = [("keep", _Call), ("restore", _Call), ("status", ctypes.c_int64)]
 
@@ -70,20 +66,6 @@ def reversal_of(component: Component, raises: Raised | None = None) -> WayBack:
         state = _python_past(component, raises)
         return WayBack(native_reversal("crankbench_python_keep", "crankbench_python_restore", state), held=state)
     return WayBack(None, f"{type(component).__name__} has no methods keep and restore")
-
-
-def on_a_grid(way: WayBack, grid: ctypes.Structure) -> WayBack:
-    """How a part is taken back that is stepped on a grid of its own in time, by the struct FixedGrid of parts.c.
-
-    It has no derivative: in an instant that it makes no step in, its inputs do not act.
-    """
-    if way.reversal is None:
-        return way
-    keep, restore, _, itself = way.reversal
-    state = _GridPast(keep, restore, itself, ctypes.addressof(grid))
-    return WayBack(
-        native_reversal("crankbench_grid_keep", "crankbench_grid_restore", state), "", (state, way.held, grid)
-    )
 
 
 def _python_past(component: Rememberer, raises: Raised | None) -> _PythonPast:

@@ -34,8 +34,7 @@ from harness import sensor as sensor_module
 from harness.clock import CrankGrid
 from harness.crank import CrankComponent
 from harness.held import HeldComponent
-from harness.native import native_step
-from harness.reversal import WayBack, on_a_grid, reversal_of
+from harness.reversal import reversal_of
 from harness.sensor import REVERSIBLE, Errors, FaultWindow, SensorComponent
 
 Move = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
@@ -561,7 +560,7 @@ def test_a_sensor_goes_back_over_so_many_samples_and_not_over_one_more():
     assert driven.samples(0, 200) == driven.wanted(200), "keeping changes what comes after the samples to go back over"
 
 
-# ---- cranks, held wires, and parts on a grid of their own ----
+# ---- cranks and held wires ----
 
 
 def test_a_crank_goes_back_to_what_it_counted():
@@ -574,45 +573,6 @@ def test_a_held_wire_has_nothing_to_go_back_to():
     found = reversal_of(held)
     for name in ("keep", "restore"):
         move(found, name)
-
-
-class FixedGrid(ctypes.Structure):
-    """The struct of parts.c."""
-
-    _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("step", "self")),
-        *((name, ctypes.c_double) for name in ("t0", "h")),
-        ("count", ctypes.c_int64),
-    )
-
-
-def test_a_part_on_a_grid_of_its_own_goes_back_with_the_steps_it_made():
-    driven = Driven(Errors(noise=1.0), 0)
-    grid = FixedGrid(driven.native.step, driven.native.self, 0.0, H)
-    found = on_a_grid(reversal_of(driven.sensor), grid)
-    step, y = Step(native_step("crankbench_grid_step", grid).step), np.zeros(1)
-
-    def onward() -> list[float]:
-        readings = []
-        y[0] = 0.0  # the outputs are the caller's to put back
-        for k in range(7, 20):
-            u = np.array([signal_of(1, k)])
-            assert step(ctypes.addressof(grid), 0.3 * k * H, 0.3 * H, u.ctypes.data, y.ctypes.data) == OK
-            readings.append(float(y[0]))
-        return readings
-
-    u = np.zeros(1)
-    assert step(ctypes.addressof(grid), 0.0, 2.1 * H, u.ctypes.data, y.ctypes.data) == OK
-    move(found, "keep")
-    first = onward()
-    assert grid.count == 6
-    move(found, "restore")
-    assert grid.count == 2
-    assert onward() == first
-
-
-def test_a_part_that_cannot_be_taken_back_cannot_on_a_grid_either():
-    assert on_a_grid(WayBack(None, "so"), FixedGrid()) == WayBack(None, "so")
 
 
 # ---- parts in Python ----
