@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_v
 
 from fmus.component import Signal
 from fmus.units import Unit, UnitError, parse_unit
-from harness.scenario import Measure, Quantity, Strict, read_measure
+from harness.quantity import Measure, Quantity, Strict, read_measure
 from harness.validation import nearest_hint
 
 Vector = NDArray[np.float64]

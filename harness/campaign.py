@@ -226,10 +226,13 @@ def _case(
 
 
 def _anchor(document: Mapping[str, Any], places: Places) -> None:
-    """FMUs named on the command line are looked for from where it was typed, not from the campaign's folder."""
+    """Files named on the command line are looked for from where it was typed, not from the campaign's folder."""
     parts = document.get("parts")
     for name, part in parts.items() if isinstance(parts, dict) else ():
-        use = part.get("use") if isinstance(part, dict) else None
-        typed = places.of(("parts", name, "use")).file.startswith(OVERRIDE)
-        if typed and isinstance(use, str) and use.endswith(".fmu"):
-            part["use"] = str(Path(use).absolute())
+        table = part.get("table") if isinstance(part, dict) else None
+        holders: tuple[tuple[Any, ...], ...] = ((part, "use"), (part, "file"), (table, "table", "file"))
+        for holder, *keys in holders:
+            named = holder.get(keys[-1]) if isinstance(holder, dict) else None
+            typed = places.of(("parts", name, *keys)).file.startswith(OVERRIDE)
+            if typed and isinstance(named, str) and (keys[-1] == "file" or named.endswith(".fmu")):
+                holder[keys[-1]] = str(Path(named).absolute())

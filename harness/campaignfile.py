@@ -9,19 +9,9 @@ from pydantic import BeforeValidator, Field, PlainSerializer, WithJsonSchema
 
 from fmus.description import Validation
 from harness.definitions import Definition
+from harness.quantity import Measure, Quantity, Strict
 from harness.reportsection import ReportSection
-from harness.scenario import (
-    RECORD_MEANS,
-    VALIDATION_MEANS,
-    Clock,
-    Coupling,
-    Kept,
-    Measure,
-    Part,
-    Quantity,
-    Record,
-    Strict,
-)
+from harness.scenario import RECORD_MEANS, VALIDATION_MEANS, Clock, Coupling, Kept, Part, Record
 from harness.worker import Limits as WorkerLimits
 
 MEMORY_UNITS = {"kB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KiB": 2.0**10, "MiB": 2.0**20, "GiB": 2.0**30}

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from fmus.units import parse_unit
 from harness.findings import Findings
-from harness.scenario import At, Clock, CrankClock, Measure, TimeClock
+from harness.quantity import Measure
+from harness.scenario import At, Clock, CrankClock, TimeClock
 
 MOST_STEPS = 100_000_000
 # A step this near to a whole number of others, relative to it, is that many.

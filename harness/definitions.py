@@ -16,8 +16,8 @@ from fmus.units import parse_unit
 from harness.arguments import Arguments, Window
 from harness.metrics import KINDS, Kind, Result
 from harness.places import Places
+from harness.quantity import Quantity, Strict
 from harness.record import Record
-from harness.scenario import Quantity, Strict
 
 # Rows are counted as inside a window when they miss its ends by less than this, relative to the time.
 ROUNDING = 1e-9

@@ -7,7 +7,7 @@ from pathlib import Path
 from fmus.component import Problem
 from fmus.units import UnitError, parse_unit
 from harness.places import KeyPath, Places
-from harness.scenario import Measure
+from harness.quantity import Measure
 
 
 class Findings:

@@ -14,7 +14,9 @@ from importlib.machinery import PathFinder
 from pathlib import Path
 
 from fmus.toolchain import find_compiler, native_platform
-from harness.scenario import ModelPart, Scenario
+from harness.cycles import cycles_version
+from harness.scenario import ModelPart, Part, Scenario
+from harness.sourcepart import FiledTable, ReplayPart, SourcePart
 
 ROOT = Path(__file__).resolve().parent.parent
 # Modules that every case passes through, besides its parts' own; C sources of these packages go along.
@@ -26,29 +28,56 @@ NATIVE_FOLDERS = ("fmus", "harness")
 def case_key(scenario: Scenario, experiment: str, folder: Path) -> str:
     """First 16 hex digits of the sha256 over the scenario, its experiment, the parts' content and the tools' versions.
 
-    The content of a part is its FMU file, or its module with everything that imports from the same packages.
+    The content of a part is its FMU file, or its module with everything that imports from the same packages; of a
+    source or replay it is the file it is read from, or the package its drive cycle comes from.
     `folder` is where relative paths start. Metrics are no part of it: they are measured again from the record.
     """
     written = scenario.model_dump(mode="json", by_alias=True)
     for part in written["parts"].values():
         if part["use"].endswith(".fmu"):
             part["use"] = Path(part["use"]).name  # its content counts, not where it lies
+        for named in (part, part.get("table") or {}):
+            if "file" in named:
+                named["file"] = Path(named["file"]).name
     content = {
         "scenario": written,
         "experiment": experiment,
-        "parts": {name: _content(part, folder) for name, part in scenario.parts.items() if isinstance(part, ModelPart)},
+        "parts": {name: _content(part, folder) for name, part in scenario.parts.items()},
         "common": _sources_digest(COMMON),
         "versions": _versions(),
     }
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _content(part: ModelPart, folder: Path) -> str:
+def _content(part: Part, folder: Path) -> str:
+    """What a part is besides what the scenario says of it."""
+    if isinstance(part, ReplayPart):
+        return _file_content(folder / part.file)
+    if isinstance(part, SourcePart):
+        if isinstance(part.table, FiledTable):
+            return _file_content(folder / part.table.file)
+        return cycles_version() if part.cycle is not None else ""
+    if not isinstance(part, ModelPart):
+        return ""
     if part.use.endswith(".fmu"):
-        path = folder / part.use
-        return _file_digest(path, path.stat().st_mtime_ns) if path.is_file() else "missing"
+        return _file_content(folder / part.use)
     modules = [part.use.partition(":")[0], *filter(_source, _names_in(part.settings))]
     return _sources_digest(tuple(modules))
+
+
+def _file_content(path: Path) -> str:
+    """The digest of a file, and the version of what reads it where that is no package of every case."""
+    if not path.is_file():
+        return "missing"
+    reader = f" asammdf {_version('asammdf')}" if path.suffix.lower() == ".mf4" else ""
+    return _file_digest(path, path.stat().st_mtime_ns) + reader
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "missing"
 
 
 def _names_in(settings: object) -> list[str]:

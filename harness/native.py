@@ -13,7 +13,18 @@ from numpy.typing import NDArray
 from fmus.component import Native, Reversal
 from fmus.toolchain import compile_shared
 
-_FILES = ("parts.c", "clock.c", "coupling.c", "loop.c", "crank.c", "sensor.c", "source.c", "reversal.c")
+_FILES = (
+    "parts.c",
+    "clock.c",
+    "coupling.c",
+    "loop.c",
+    "crank.c",
+    "sensor.c",
+    "points.c",
+    "source.c",
+    "replay.c",
+    "reversal.c",
+)
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import Field
 
 from harness.places import KeyPath
-from harness.scenario import Quantity, Strict
+from harness.quantity import Quantity, Strict
 
 
 class ReportedObserver(Strict):

@@ -128,7 +128,7 @@ def _import(name: str, found: Findings) -> ModuleType | None:
         if error.name is None or not (name == error.name or name.startswith(f"{error.name}.")):
             found.add(f"{name} wants the module '{error.name}', which is not installed")
             return None
-        found.add(unknown(name, ["source", "sensor", *_shipped()], "module"))
+        found.add(unknown(name, ["source", "sensor", "replay", *_shipped()], "module"))
     except (ImportError, SyntaxError, ValueError) as error:
         found.add(f"{name} cannot be imported: {error}")
     return None

@@ -3,75 +3,15 @@
 from __future__ import annotations
 
 import difflib
-import math
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    PlainSerializer,
-    Tag,
-    WithJsonSchema,
-    model_validator,
-)
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from fmus.description import Validation
-from fmus.units import UnitError, parse_quantity, parse_unit
+from harness.quantity import Measure, Quantity, Strict
+from harness.sourcepart import POINTS, POINTS_OF_A_FILE, SHAPES, FiledTable, ReplayPart, SourcePart, Table
 
 VALIDATION_MEANS = "rules of the standard that FMUs break: refused (strict), tolerated and listed, or not looked for"
-
-
-class Measure(NamedTuple):
-    """A number and the unit it was written in; the unit is empty where none stands."""
-
-    value: float
-    unit: str
-
-    def si(self, wanted: str) -> float:
-        """The value in SI.
-
-        Raises UnitError: not of the dimension of `wanted`, or a bare number where `wanted` has one.
-        """
-        target = parse_unit(wanted)
-        if not self.unit and any(target.exponents):
-            raise UnitError(f"wants {wanted}, got the bare number {self.value:g}: write '{self.value:g} {wanted}'")
-        source = parse_unit(self.unit)
-        if not source.same_dimension(target):
-            asked = wanted or "a bare number, since no unit is declared (an FMU's is bound under its `units`)"
-            raise UnitError(f"wants {asked}, got {self.value:g} {self.unit}".rstrip())
-        return source.to_si(self.value)
-
-    def __str__(self) -> str:
-        return f"{self.value!r} {self.unit}".rstrip()
-
-
-def read_measure(raw: Any) -> Measure:
-    """A Measure from `1500 N.m/rad`, 3 or 0.5."""
-    if isinstance(raw, Measure):
-        return raw
-    if isinstance(raw, bool) or not isinstance(raw, (int, float, str)):
-        raise ValueError(f"wants a number with a unit, like '1 ms', got {raw!r}")
-    measure = Measure(*parse_quantity(raw)) if isinstance(raw, str) else Measure(float(raw), "")
-    if not math.isfinite(measure.value):
-        raise ValueError(f"wants a finite number, got {raw!r}")
-    return measure
-
-
-Quantity = Annotated[
-    Measure,
-    BeforeValidator(read_measure),
-    PlainSerializer(str),
-    WithJsonSchema({"type": ["string", "number"], "description": "number with a unit, like '1500 N.m/rad'"}),
-]
-
-
-class Strict(BaseModel):
-    """Unknown keys are errors; values are frozen."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
 class TimeClock(Strict):
@@ -133,59 +73,6 @@ class Clock(Strict):
         return (self.time or self.crank).start  # type: ignore[union-attr]
 
 
-class Step(Strict):
-    """Jumps from one value to another at a time: y(t) = to for t >= at."""
-
-    at: Quantity
-    start: Quantity = Field(alias="from")
-    to: Quantity
-
-
-class Ramp(Strict):
-    """Linear between two times, constant outside."""
-
-    at: Quantity
-    until: Quantity
-    start: Quantity = Field(alias="from")
-    to: Quantity
-
-
-class Sine(Strict):
-    """mean + amplitude sin(2 pi frequency (t - t0) + phase)."""
-
-    amplitude: Quantity
-    frequency: Quantity
-    mean: Quantity
-    phase: Quantity = Measure(0.0, "rad")
-
-
-class Table(Strict):
-    """Points (time, value), held between points or joined by lines; the ends are held."""
-
-    time: list[Quantity]
-    value: list[Quantity]
-    between: Literal["hold", "linear"] = "hold"
-
-
-class SourcePart(Strict):
-    """A known input: exactly one of constant, step, ramp, sine, table. Its output is named `value`."""
-
-    use: Literal["source"]
-    unit: str = Field(description="unit of the signal, like N.m")
-    constant: Quantity | None = None
-    step: Step | None = None
-    ramp: Ramp | None = None
-    sine: Sine | None = None
-    table: Table | None = None
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> SourcePart:
-        given = [name for name in ("constant", "step", "ramp", "sine", "table") if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"a source wants one of constant, step, ramp, sine, table, got {given or 'none'}")
-        return self
-
-
 class Noise(Strict):
     """White Gaussian noise, drawn once a sample."""
 
@@ -235,7 +122,7 @@ class SensorPart(Strict):
     drop_out: float = Field(0.0, ge=0.0, le=1.0, description="probability that a sample is lost and the last is held")
     quantise: Quantity | None = Field(None, description="resolution: readings are rounded to multiples of it")
     limits: tuple[Quantity, Quantity] | None = Field(None, description="readings are clipped to this range")
-    faults: list[Fault] = []
+    faults: list[Fault] = Field(default_factory=list)
     every: Quantity | None = Field(None, description="from sample to sample; a multiple of the clock's step")
     at: At = Field(None, description=AT_MEANS)
 
@@ -303,9 +190,16 @@ class ModelPart(Strict):
     )
 
 
-# The tags of the three kinds of part, in the words that error messages use.
-SOURCE, SENSOR, CRANK, MODEL = "<a source>", "<a sensor>", "<a crank>", "<a model>"
-PART_KINDS: dict[str, type[Strict]] = {SOURCE: SourcePart, SENSOR: SensorPart, CRANK: CrankPart, MODEL: ModelPart}
+# The tags of the kinds of part, in the words that error messages use.
+SOURCE, SENSOR, CRANK, REPLAY, MODEL = "<a source>", "<a sensor>", "<a crank>", "<a replay>", "<a model>"
+PART_KINDS: dict[str, type[Strict]] = {
+    SOURCE: SourcePart,
+    SENSOR: SensorPart,
+    CRANK: CrankPart,
+    REPLAY: ReplayPart,
+    MODEL: ModelPart,
+}
+TAGGED: dict[str, type[Strict]] = {**PART_KINDS, POINTS: Table, POINTS_OF_A_FILE: FiledTable}
 
 
 def part_kind(raw: Any) -> str:
@@ -316,20 +210,23 @@ def part_kind(raw: Any) -> str:
     if not isinstance(raw, dict):
         return MODEL
     use = raw.get("use")
-    words = {"source": SOURCE, "sensor": SENSOR, "crank": CRANK}
+    words = {"source": SOURCE, "sensor": SENSOR, "crank": CRANK, "replay": REPLAY}
     if isinstance(use, str):
         plain = "." not in use and ":" not in use
         nearest = difflib.get_close_matches(use, words, n=1, cutoff=0.7) if plain else []
         return words[nearest[0]] if nearest else MODEL
     if "of" in raw:
         return SENSOR
-    return SOURCE if {"constant", "step", "ramp", "sine", "table"} & raw.keys() else MODEL
+    if "signals" in raw:
+        return REPLAY
+    return SOURCE if set(SHAPES) & raw.keys() else MODEL
 
 
 Part = Annotated[
     Annotated[SourcePart, Tag(SOURCE)]
     | Annotated[SensorPart, Tag(SENSOR)]
     | Annotated[CrankPart, Tag(CRANK)]
+    | Annotated[ReplayPart, Tag(REPLAY)]
     | Annotated[ModelPart, Tag(MODEL)],
     Discriminator(part_kind),
 ]

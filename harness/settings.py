@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from fmus.component import Signal
 from fmus.model import unknown
 from harness.findings import Findings
-from harness.scenario import Measure, read_measure
+from harness.quantity import Measure, read_measure
 
 _LIST = re.compile(r"\s*\[(?P<numbers>[^\]]*)\]\s*(?P<unit>.*)$")
 

@@ -1,38 +1,31 @@
-/* A source: points in time, held or joined by lines, or a sine; over a step it holds the value at the step's begin. */
+/* A source: points in time, a sine or a chirp; over a step it holds the value at the step's begin. */
 #include <math.h>
 #include <stdint.h>
 
-enum { HOLD = 0, LINEAR = 1, SINE = 2 };
+enum { POINTS = 0, SINE = 1, LINEAR_CHIRP = 2, LOGARITHMIC_CHIRP = 3 };
 
 typedef struct {
     int64_t kind;
-    int64_t count;
-    const double *times, *values; /* ascending times; the ends are held */
-    double mean, amplitude, omega, phase, t0;
-    double edge; /* a point nearer than this to t is at t */
+    Points points;
+    double mean, amplitude, omega, phase;
+    double begin, duration; /* of a chirp; a sine begins at t0 */
+    double rate;            /* of a chirp: half the slope of omega, or of its logarithm the whole */
 } Source;
 
 EXPORT int crankbench_source_step(void *self, double t, double h, const double *u, double *y)
 {
-    const Source *s = (const Source *)self;
+    Source *s = (Source *)self;
     (void)h;
     (void)u;
+    if (s->kind == POINTS) return points_value(&s->points, t, y);
+    double since = t - s->begin, angle;
     if (s->kind == SINE) {
-        y[0] = s->mean + s->amplitude * sin(s->omega * (t - s->t0) + s->phase);
-        return OK;
+        angle = s->omega * since + s->phase;
+    } else {
+        since = since < 0.0 ? 0.0 : since > s->duration ? s->duration : since;
+        angle = s->kind == LINEAR_CHIRP ? (s->omega + s->rate * since) * since + s->phase
+                                        : s->omega * (expm1(s->rate * since) / s->rate) + s->phase;
     }
-    const double now = s->kind == HOLD ? t + s->edge : t;
-    int64_t low = 0, high = s->count; /* times[low] <= now < times[high], as far as there are points */
-    while (high - low > 1) {
-        const int64_t middle = (low + high) / 2;
-        if (s->times[middle] <= now) low = middle;
-        else high = middle;
-    }
-    if (s->kind == HOLD || low == s->count - 1 || now <= s->times[low]) {
-        y[0] = s->values[low];
-        return OK;
-    }
-    const double share = (now - s->times[low]) / (s->times[low + 1] - s->times[low]);
-    y[0] = s->values[low] + share * (s->values[low + 1] - s->values[low]);
+    y[0] = s->mean + s->amplitude * sin(angle);
     return OK;
 }

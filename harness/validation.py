@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from fmus.component import Problem
 from harness.places import KeyPath, Places
-from harness.scenario import PART_KINDS
+from harness.scenario import TAGGED
 
 Schema = TypeVar("Schema", bound=BaseModel)
 
@@ -101,7 +101,7 @@ def _short(value: Any) -> str:
 
 
 def _is_tag(token: str | int) -> bool:
-    return isinstance(token, str) and token in PART_KINDS
+    return isinstance(token, str) and token in TAGGED
 
 
 def _models_at(schema: type[BaseModel], location: tuple[str | int, ...]) -> list[type[BaseModel]]:
@@ -109,7 +109,7 @@ def _models_at(schema: type[BaseModel], location: tuple[str | int, ...]) -> list
     annotations: list[Any] = [schema]
     for token in location:
         if _is_tag(token):
-            annotations = [PART_KINDS[str(token)]]
+            annotations = [TAGGED[str(token)]]
         else:
             annotations = [inner for one in annotations for inner in _inside(one, token)]
     return [one for annotation in annotations for one in _plain(annotation) if _is_model(one)]

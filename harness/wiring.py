@@ -17,10 +17,13 @@ from harness.findings import Findings
 from harness.native import library
 from harness.order import Wire
 from harness.places import Places
+from harness.points import horizon
+from harness.replay import build_replay
 from harness.resolve import resolve
-from harness.scenario import CrankPart, ModelPart, Part, Scenario, SensorPart, SourcePart, WireSpec
+from harness.scenario import CrankPart, ModelPart, Part, Scenario, SensorPart, WireSpec
 from harness.sensor import build_sensor
 from harness.source import build_source
+from harness.sourcepart import ReplayPart, SourcePart
 from harness.system import System
 
 _NAME = re.compile(r"[A-Za-z_]\w*$")
@@ -76,7 +79,10 @@ def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found
                     resolved.component, _own_pace(resolved.component, pace, grid, here), resolved.settings
                 )
         elif isinstance(spec, SourcePart) and _known_unit(spec.unit, here.at("unit")):
-            built[name] = Built(build_source(spec, _nearness(grid), here), Pace(), {})
+            built[name] = Built(build_source(spec, horizon(grid), here), Pace(), {})
+        elif isinstance(spec, ReplayPart):
+            replay = build_replay(spec, grid, here)
+            built[name] = None if replay is None else Built(replay, Pace(), {})
     waiting = {name: spec for name, spec in scenario.parts.items() if isinstance(spec, SensorPart | CrankPart)}
     while waiting:
         ready = [name for name, spec in waiting.items() if _measured(spec, scenario).partition(".")[0] not in waiting]
@@ -129,11 +135,6 @@ def _measured(spec: SensorPart | CrankPart, scenario: Scenario) -> str:
     """The signal a part reads; of a crank that names none, the angle that the clock steers to."""
     clock = scenario.clock.crank
     return spec.of or (clock.angle if clock is not None else None) or ""
-
-
-def _nearness(grid: Grid) -> float:
-    """The step [s] of which a millionth is how near a time must be to an instant to be at it."""
-    return 1e-3 if isinstance(grid, CrankGrid) else grid.step
 
 
 def _own_pace(component: Component, pace: Pace, grid: Grid, found: Findings) -> Pace:

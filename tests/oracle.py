@@ -1,4 +1,4 @@
-"""The step loop, its sensors and its sources in plain Python: what the C must match bit for bit."""
+"""The step loop, its sensors, sources and replays in plain Python: what the C must match bit for bit."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from fmus.fmu import FmuComponent
 from fmus.units import parse_unit
 from harness.clock import CrankGrid, TimeGrid
 from harness.coupling import solve_start
+from harness.points import Points
+from harness.replay import ReplayComponent
 from harness.sensor import Errors, SensorComponent, lag_weights, split_delay, stream
-from harness.source import SourceComponent
+from harness.source import SourceComponent, Wave
 from harness.system import Group, Slot, System
 
 DEGREE = math.pi / 180.0
@@ -321,10 +323,12 @@ def most_samples(system: System) -> int:
     return grid.steps + 1 if isinstance(grid, TimeGrid) else min(grid.steps, 100_000) + 1
 
 
-def twin(component: Component, samples: int) -> Component | SensorTwin | SourceTwin:
-    """The plain-Python twin of a sensor or source good for so many samples; any other component is its own."""
+def twin(component: Component, samples: int) -> Component | SensorTwin | SourceTwin | ReplayTwin:
+    """The plain-Python twin of a sensor, source or replay good for so many samples; any other is its own."""
     if isinstance(component, SensorComponent):
         return SensorTwin(component.errors, component.period, component.seed, component.part, samples)
+    if isinstance(component, ReplayComponent):
+        return ReplayTwin(component)
     return SourceTwin(component) if isinstance(component, SourceComponent) else component
 
 
@@ -399,10 +403,10 @@ class SensorTwin:
 
 
 class SourceTwin:
-    """A source looked up point by point."""
+    """A source looked up point by point, or its wave."""
 
     def __init__(self, source: SourceComponent) -> None:
-        self.source = source
+        self.given = source.given
 
     def start(self, t0: float, u: Sequence[float]) -> list[float]:
         """The value at t0."""
@@ -411,14 +415,55 @@ class SourceTwin:
 
     def step(self, t: float, h: float, u: Sequence[float]) -> list[float]:
         """The value at t."""
-        source, times, values = self.source, list(self.source.times), list(self.source.values)
-        if source.shape == "sine":
-            return [source.mean + source.amplitude * math.sin(source.omega * (t - self.t0) + source.phase)]
-        if source.shape == "hold":
-            past = [value for time, value in zip(times, values, strict=True) if time <= t + source.edge]
-            return [float(past[-1] if past else values[0])]
-        if t <= times[0] or t >= times[-1]:
-            return [float(values[0] if t <= times[0] else values[-1])]
-        after = next(index for index, time in enumerate(times) if time > t)
-        share = (t - times[after - 1]) / (times[after] - times[after - 1])
-        return [float(values[after - 1] + share * (values[after] - values[after - 1]))]
+        return [points_at(self.given, t) if isinstance(self.given, Points) else self._wave(self.given, t)]
+
+    def _wave(self, wave: Wave, t: float) -> float:
+        x = t - (self.t0 if wave.begin is None else wave.begin)
+        if wave.shape == "sine":
+            return wave.mean + wave.amplitude * math.sin(wave.omega * x + wave.phase)
+        x = min(max(x, 0.0), wave.duration)
+        if wave.shape == "linear chirp":
+            angle = (wave.omega + wave.rate * x) * x + wave.phase
+        else:
+            angle = wave.omega * (math.expm1(wave.rate * x) / wave.rate) + wave.phase
+        return wave.mean + wave.amplitude * math.sin(angle)
+
+
+class ReplayTwin:
+    """A replay looked up point by point."""
+
+    def __init__(self, replay: ReplayComponent) -> None:
+        self.points, self.clock = replay.points, replay.clock
+
+    def start(self, t0: float, u: Sequence[float]) -> list[float]:
+        """What was recorded at t0, or at the origin."""
+        self.k = 0
+        return self._values(t0)
+
+    def step(self, t: float, h: float, u: Sequence[float]) -> list[float]:
+        """What was recorded at t + h, or at the next crank angle."""
+        self.k += 1
+        return self._values(t + h)
+
+    def _values(self, t: float) -> list[float]:
+        clock = self.clock
+        at = t if clock is None else clock.origin + self.k * clock.numerator / clock.denominator
+        return [points_at(points, at) for points in self.points]
+
+
+def points_at(points: Points, t: float) -> float:
+    """The value of points at a time. Raises LookupError: they do not reach so far."""
+    times, values, edge = points.times.tolist(), points.values.tolist(), points.edge
+    if points.ends == "error" and not times[0] - edge <= t <= times[-1] + edge:
+        raise LookupError(t)
+    if points.ends == "repeat":
+        span = times[-1] - times[0]
+        since = math.fmod(t - times[0], span)
+        since = since + span if since < 0.0 else since
+        t = times[0] + (0.0 if since + edge >= span else since)
+    past = [index for index, time in enumerate(times) if time <= t + edge]
+    before = past[-1] if past else 0
+    if points.between == "hold" or before == len(times) - 1 or t <= times[before] + edge:
+        return float(values[before])
+    share = (t - times[before]) / (times[before + 1] - times[before])
+    return float(values[before] + share * (values[before + 1] - values[before]))
