@@ -10,9 +10,7 @@ from harness.tablefile import TableError, Vector, open_table
 PACKAGE = "fastsim"
 _FOLDER = "fastsim/resources/cycles"
 _FILES = {"WLTC": "wltc_3b.csv", "UDDS": "udds.csv", "HWFET": "hwfet.csv", "US06": "us06.csv"}
-_INSTALL = (
-    f"pip install 'crankbench[cycles]', or pip install --no-deps '{PACKAGE}<3' to leave all other packages as they are"
-)
+_INSTALL = "pip install 'crankbench[cycles]', or --no-deps 'fastsim<3' to leave all other packages as they are"
 
 
 def read_cycle(name: str) -> tuple[Vector, Vector]:

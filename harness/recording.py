@@ -160,7 +160,7 @@ def settle_unit(said: str, given: str | None, name: str) -> str:
         try:
             parse_unit(said)
         except UnitError:
-            raise UnitError(f"the file says that '{name}' is in '{said}', which is none that is known") from None
+            raise UnitError(f"the file says that '{name}' is in '{said}', an unknown unit") from None
         return said
     campaign = parse_unit(given)
     try:

@@ -1,7 +1,7 @@
 """Replays: recorded measurements in the place of a plant. The arithmetic is in replay.c and points.c.
 
-Row k of a record has what the file holds at t_k, or at the crank angle of instant k. So a record replayed on its own instants gives its own columns bit for
-bit, and sensors and observers see what they saw of the plant.
+Row k of a record has what the file holds at t_k, or at the crank angle of instant k. So a record replayed on its own
+instants gives its own columns bit for bit, and sensors and observers see what they saw of the plant.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ReplayComponent:
         return self._called("crankbench_replay_start", t0)
 
     def step(self, t: float, h: float, u: Vector) -> Vector:
-        """What was recorded at t + h [s], or at the next crank angle, shape (signals,). Raises StepError: nothing was."""
+        """What was recorded at t + h [s], or the next crank angle, shape (signals,). Raises StepError: nothing was."""
         return self._called("crankbench_replay_step", t, h)
 
     def native(self) -> Native:
