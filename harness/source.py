@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from fmus.component import Native, Reversal, Role, Signal, StepError, Vector
+from harness.faults import Timed
 from harness.findings import Findings
 from harness.native import address, call, native_reversal, native_step
 from harness.scenario import Measure, Ramp, Sine, SourcePart, Step, Table
@@ -37,6 +38,7 @@ class SourceComponent:
     """
 
     role: Role = "source"
+    timed: Timed = "begin"
     inputs: Sequence[Signal] = ()
     feedthrough: frozenset[tuple[str, str]] = frozenset()
 
@@ -77,7 +79,7 @@ class SourceComponent:
 
     def step(self, t: float, h: float, u: Vector) -> Vector:
         """The value held over a step from t [s], which is the value at t, shape (1,)."""
-        return np.array([call("crankbench_source_step", self._started(), t, h)[1]])
+        return call("crankbench_source_step", self._started(), t, h)[1]
 
     def native(self) -> Native:
         """The step in C."""
