@@ -118,9 +118,12 @@ def edge(period: float) -> float:
 
 
 def fault_signal(meanings: Sequence[tuple[int, str]]) -> Signal:
-    """The signal that tells which fault acts; its description says what each code means."""
-    told = "; ".join(f"{code}: {meaning}" for code, meaning in meanings)
-    return Signal(FAULT_SIGNAL, description=told, kind="integer")
+    """The signal that tells which fault acts; its description says what each code means, and reports read it there."""
+    by_code: dict[int, list[str]] = {}
+    for code, meaning in meanings:
+        by_code.setdefault(code, []).append(meaning)
+    told = [f"{code}: {' or '.join(means)}" for code, means in by_code.items()]
+    return Signal(FAULT_SIGNAL, description="; ".join(["the fault that acts", *told]), kind="integer")
 
 
 def tells_faults(component: Component, output: str) -> bool:

@@ -22,10 +22,11 @@ _NO_LETTERS = re.compile(r"\W+")
 
 
 class OnWire(NamedTuple):
-    """The wire with faults from a source, as written, to an input of a part."""
+    """A wire with faults: the part and the input it enters, under which key it is written, its source as written."""
 
     part: str
     input: str
+    key: str
     source: str
     faults: Sequence[Fault]
 
@@ -47,15 +48,15 @@ def faulty_wires(
     """
     named: dict[str, OnWire] = {}
     for part, spec in parts.items():
-        for given, wire in spec.wires.items() if isinstance(spec, ModelPart) else ():
+        for key, wire in spec.wires.items() if isinstance(spec, ModelPart) else ():
             component = components.get(part)
-            for index in endings(given, component.inputs if component else ()) if wire.faults else ():
-                name = f"{part}__{_NO_LETTERS.sub('_', given + index).strip('_')}"
+            for index in endings(key, component.inputs if component else ()) if wire.faults else ():
+                name = f"{part}__{_NO_LETTERS.sub('_', key + index).strip('_')}"
                 if name in parts or name in named:
                     told = f"the part that stands on this wire is named {name}, and so is another; rename that one"
-                    found.at("parts", part, "wires", given, "faults").tell(told)
+                    found.at("parts", part, "wires", key, "faults").tell(told)
                 else:
-                    named[name] = OnWire(part, given + index, wire.source + index, wire.faults)
+                    named[name] = OnWire(part, key + index, key, wire.source + index, wire.faults)
     return named
 
 

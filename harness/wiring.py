@@ -109,7 +109,7 @@ _READING = SensorPart | CrankPart | SwapPart
 def _where_read(name: str, on_wires: Mapping[str, OnWire], found: Findings) -> Findings:
     """Where it is written what a sensor, a crank, a swap or a part on a wire reads."""
     one = on_wires.get(name)
-    return found.at("parts", name) if one is None else found.at("parts", one.part, "wires", one.input)
+    return found.at("parts", name) if one is None else found.at("parts", one.part, "wires", one.key)
 
 
 def _build_reading(

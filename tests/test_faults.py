@@ -10,18 +10,26 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
+from lawbook import check_component
+from loop_parts import StatusPart
 from oracle import run_plainly
 from test_run import scenarios
 
-from fmus.component import ConfigurationError
+from fmus.component import ConfigurationError, Signal
 from harness.campaign import read_campaign
 from harness.cases import execute
 from harness.clock import CrankGrid, Pace
-from harness.faults import Sampling
+from harness.faults import ActingFault, Sampling, Window
+from harness.onwire import Given
 from harness.record import Record
 from harness.run import run
 from harness.scenario import Scenario
+from harness.sensor import Errors, SensorComponent
+from harness.swap import SwapComponent
 from harness.wiring import System, wire
+from reports.folder import read_run
+from reports.html import write_report
+from reports.traces import declared_figures
 
 RPM = 2.0 * math.pi / 60.0
 PLANT = {"use": "loop_parts:truth"}
@@ -87,10 +95,14 @@ def test_of_faults_that_overlap_the_first_listed_is_told_and_a_code_stands_for_i
 
 
 def test_the_fault_signal_says_what_its_codes_mean_and_is_an_integer() -> None:
-    faults = [BIAS, {"stuck": True, "from": "1 s", "code": 4}]
+    faults = [BIAS, {"stuck": True, "from": "1 s", "code": 4}, {"gain": 2.0, "from": "2 s", "code": 4}]
     found = record({"plant": PLANT, "encoder": {"use": "sensor", "of": "plant.y", "faults": faults}})
     signal = next(signal for signal in found.signals if signal.name == "encoder.fault")
-    assert (signal.description, signal.kind, signal.unit) == ("1: bias 60.0 rpm; 4: stuck", "integer", "1")
+    assert (signal.description, signal.kind, signal.unit) == (
+        "the fault that acts; 1: bias 60.0 rpm; 4: stuck or gain 2.0",
+        "integer",
+        "1",
+    )
 
 
 def test_only_parts_with_faults_have_a_fault_signal_and_the_reading_stays_what_a_sensor_stands_for() -> None:
@@ -177,6 +189,24 @@ def test_a_fault_on_the_wire_of_a_controller_acts_on_its_values_of_the_windows_t
     assert np.flatnonzero(found["plant__u0.fault"]).tolist() == [3]
     sound = record({**loop, "plant": follower("controller")})
     assert np.flatnonzero(found["plant.y0"] != sound["plant.y0"])[0] == 4
+
+
+def test_a_late_wire_with_faults_is_late_behind_them() -> None:
+    wave = source(ramp={"at": "0 s", "until": "10 ms", "from": 1, "to": 2})
+    direct = {"use": "loop_parts:linear", "with": {"direct": 1.0}}
+    wire_ = {**faulty("wave", {"bias": 10, "from": "3 ms", "to": "5 ms"}), "delay": 1}
+    found = record({"wave": wave, "plant": {**direct, "wires": {"u0": wire_}}})
+    assert found.held == ("plant__u0.value -> plant.u0",)
+    assert np.flatnonzero(found["plant__u0.fault"]).tolist() == [4, 5]
+    sound = record({"wave": wave, "plant": {**direct, "wires": {"u0": {"from": "wave", "delay": 1}}}})
+    assert np.flatnonzero(found["plant.y0"] != sound["plant.y0"])[0] == 5
+
+
+def test_a_late_faulty_wire_breaks_an_algebraic_loop() -> None:
+    direct = {"use": "loop_parts:linear", "with": {"direct": 1.0}}
+    late = {**faulty("b", {"noise": 0.1, "from": "2 ms"}), "delay": 1}
+    found = record({"a": {**direct, "wires": {"u0": late}}, "b": {**direct, "wires": {"u0": "a"}}})
+    assert found.order == ("a", "b", "a__u0") and found.held == ("a__u0.value -> a.u0",)
 
 
 def test_every_kind_of_fault_acts_on_a_wire() -> None:
@@ -598,8 +628,23 @@ accept:
   - {drift: right > 0.98}
   - real_torque == 2.5 N.m
 report:
-  figures: [{title: Readings, experiment: bias, traces: [[plant.y, a.value]]}]
+  figures:
+    - {title: Readings, experiment: bias, traces: [[plant.y, a.value]]}
+    - {title: Drift, experiment: drift, traces: [[plant.y, a.value]], from: 1.5 s, to: 3 s}
 """
+
+
+def test_parts_with_faults_and_swaps_keep_the_laws_of_a_component() -> None:
+    signal = Signal("y", start=1.0)
+    kinds = [("bias", 0.3), ("gain", 1.5), ("drift", 9.0), ("noise", 0.1), ("drop_out", 0.4), ("delay", 2.5)]
+    faults = tuple(
+        ActingFault(kind, value, Window(0.004 * place, 0.004 * place + 0.015), place + 1)
+        for place, (kind, value) in enumerate(kinds)
+    )
+    for timed in ("end", "begin"):
+        check_component(lambda timed=timed: SensorComponent(signal, Errors(faults=faults), 1e-3, timed=timed))
+    pair = [Given(f"{name}.y", signal, StatusPart(1.0, 0)) for name in ("one", "two")]
+    check_component(lambda: SwapComponent(pair, Window(0.01, 0.03), 1e-3))
 
 
 def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> None:
@@ -609,3 +654,22 @@ def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> N
     result = execute(read_campaign(file), tmp_path / "out", 1, lambda ended: None)
     assert all(verdict.passed for verdict in result.verdicts), [v for v in result.verdicts if not v.passed]
     assert result.accepted and len(result.verdicts) == 8
+    # The report shades what was recorded: a source's row is the one after that whose time it belongs to.
+    (whole, part) = declared_figures(read_run(tmp_path / "out"))
+    assert [(window.label, window.since, window.until) for window in whole.windows] == [
+        ("a: bias 50.0 rpm", 1.0, 2.0),
+        ("plant__T_eng: gain 0.5", 3.001, 4.0),
+    ]
+    assert [(window.label, window.since, window.until) for window in part.windows] == [("b: drift 100.0 rpm", 1.5, 2.0)]
+    page = write_report(tmp_path / "out").read_text(encoding="utf-8")
+    assert "Shaded, a fault is active: a: bias 50.0 rpm, 1 to 2 s" in page
+
+
+def test_faults_that_were_not_recorded_are_shaded_as_declared_in_time(tmp_path: Path) -> None:
+    file = tmp_path / "diagnosis.yaml"
+    record_ = "record: [plant.y, a.value, b, vote, plant__T_eng.value]\nexperiments:"
+    text = CAMPAIGN.replace("experiments:", record_).replace("  a_found:", "  #").replace("  - {bias: a_found", "  #")
+    file.write_text(text)
+    assert execute(read_campaign(file), tmp_path / "out", 1, lambda ended: None).accepted
+    (whole, _) = declared_figures(read_run(tmp_path / "out"))
+    assert [(window.label, window.since, window.until) for window in whole.windows] == [("a: bias 50 rpm", 1.0, 2.0)]
