@@ -69,7 +69,10 @@ def _components(built: Mapping[str, Built | None]) -> dict[str, Component]:
 
 
 def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found: Findings) -> Mapping[str, OnWire]:
-    """Fills `built` with every part, None where it has problems; those on wires come last and are returned."""
+    """Fills `built` with every part, None where it has problems; those on wires stand before the part they lead to.
+
+    So what an order leaves open is decided as if a wire had nothing on it. Returns the parts on wires.
+    """
     for name in scenario.parts:
         built[name] = None
         if not _NAME.match(name):
@@ -87,7 +90,11 @@ def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found
         elif isinstance(spec, SourcePart) and _known_unit(spec.unit, here.at("unit")):
             built[name] = Built(build_source(spec, _nearness(grid), here), Pace(), {})
     on_wires = faulty_wires(scenario.parts, _components(built), found)
-    built |= dict.fromkeys(on_wires)
+    so_far = dict(built)
+    built.clear()
+    for name, part in so_far.items():
+        built |= {standing: None for standing, one in on_wires.items() if one.part == name}
+        built[name] = part
     waiting = {name: reads(spec, scenario.clock) for name, spec in scenario.parts.items() if isinstance(spec, _READING)}
     waiting |= {name: {"of": one.source} for name, one in on_wires.items()}
     while waiting:

@@ -165,7 +165,7 @@ def test_a_part_that_stands_on_a_wire_with_faults_is_named_after_it_and_says_wha
     parts = {"torque": source(), "plant": {"use": "loop_parts:linear", "wires": wires}}
     found = record(parts)
     assert found.order == ("torque", "plant__u0", "plant")
-    assert found.names == ["torque.value", "plant.y0", "plant__u0.value", "plant__u0.fault"]
+    assert found.names == ["torque.value", "plant__u0.value", "plant__u0.fault", "plant.y0"]
     halved = {"torque": source(table={"time": ["0 s", "2 ms", "5 ms"], "value": [1, 0.5, 1]})}
     assert np.array_equal(found["plant.y0"], record({**halved, "plant": follower("torque")})["plant.y0"])
 
@@ -657,8 +657,8 @@ def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> N
     # The report shades what was recorded: a source's row is the one after that whose time it belongs to.
     (whole, part) = declared_figures(read_run(tmp_path / "out"))
     assert [(window.label, window.since, window.until) for window in whole.windows] == [
-        ("a: bias 50.0 rpm", 1.0, 2.0),
         ("plant__T_eng: gain 0.5", 3.001, 4.0),
+        ("a: bias 50.0 rpm", 1.0, 2.0),
     ]
     assert [(window.label, window.since, window.until) for window in part.windows] == [("b: drift 100.0 rpm", 1.5, 2.0)]
     page = write_report(tmp_path / "out").read_text(encoding="utf-8")
