@@ -105,6 +105,24 @@ def build_on_wire(
     return built
 
 
+def check_smaller_steps(
+    wires: Sequence[Wire],
+    on_wires: Mapping[str, OnWire],
+    swaps: Iterable[str],
+    components: Mapping[str, Component],
+    found: Findings,
+) -> None:
+    """That no faults stand between plants, where those that feed each other take smaller steps than the clock."""
+    told = "plants that feed each other take smaller steps (coupling.error), which faults between them cannot count"
+    for entry in wires:
+        plants = components[entry.source].role == components[entry.part].role == "plant"
+        name = next((name for name, one in on_wires.items() if (one.part, one.input) == (entry.part, entry.input)), "")
+        if plants and name:
+            found.at("parts", entry.part, "wires", on_wires[name].key, "faults").tell(told)
+        if plants and entry.part in swaps:
+            found.at("parts", entry.part).tell(told)
+
+
 def check_swaps(
     wires: Sequence[Wire],
     on_wires: Mapping[str, OnWire],

@@ -16,7 +16,7 @@ from harness.crank import build_crank
 from harness.faults import Sampling, tells_faults
 from harness.findings import Findings
 from harness.native import library
-from harness.onwire import Given, OnWire, build_on_wire, check_swaps, faulty_wires, reads, rewired
+from harness.onwire import Given, OnWire, build_on_wire, check_smaller_steps, check_swaps, faulty_wires, reads, rewired
 from harness.order import Wire
 from harness.places import Places
 from harness.resolve import resolve
@@ -48,6 +48,8 @@ def wire(scenario: Scenario, places: Places = NOWHERE) -> System:
         _check_wires(wires, built, scenario, found)
         swaps = [name for name, spec in scenario.parts.items() if isinstance(spec, SwapPart)]
         check_swaps(wires, on_wires, swaps, _components(built), found)
+        if scenario.coupling.error is not None:
+            check_smaller_steps(wires, on_wires, swaps, _components(built), found)
         system = assemble(scenario, grid, built, rewired(wires, on_wires, swaps), found)
     except BaseException:
         _close(built)

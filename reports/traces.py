@@ -99,7 +99,7 @@ def fault_windows(run: Run, case: Case, begin: float, stop: float) -> tuple[Wind
             kind = ", ".join(key if value is True else f"{key} {value}" for key, value in settings.items())
             if since is not None and since < stop:
                 windows.append(Window(f"{part}: {kind}", since, stop if until is None else min(until, stop)))
-    return tuple(windows)
+    return tuple(sorted(windows, key=lambda window: window.since))
 
 
 def _recorded_windows(signals: Columns, begin: float, stop: float) -> Iterator[Window]:

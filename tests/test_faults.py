@@ -598,6 +598,52 @@ def test_on_a_crank_clock_wires_have_faults_and_signals_are_swapped_by_angle() -
     assert np.array_equal(found["crossed.first"], swapped)
 
 
+def test_where_a_clock_steers_exactly_faults_are_taken_back_with_the_plant() -> None:
+    burst = {"noise": "5 N.m", "from": "360 deg", "to": "720 deg"}
+    parts = {
+        "torque": {"use": "source", "unit": "N.m", "constant": "30 N.m"},
+        "engine": {
+            "use": "crank_parts:LOADED",
+            "with": {"theta": "60 deg"},
+            "wires": {"torque": faulty("torque", burst)},
+        },
+    }
+    found = on_crank(parts, angle="engine.theta", steer="exact")
+    assert np.array_equal(found["engine__torque.fault"] == 1, between(found, 366.0, 726.0))
+    assert np.array_equal(found["engine__torque.value"] != 30.0, found["engine__torque.fault"] == 1)
+
+
+# Coupled parts
+
+
+def test_an_algebraic_loop_is_solved_through_a_faulty_wire() -> None:
+    """a = 0.5 b + 1 and b = 0.5 a', a' being a with a bias of 3 from 4 ms on: a = 4/3, then 7/3."""
+    bias = {"bias": 3, "from": "4 ms"}
+    a = {"use": "coupled_parts:LINE", "with": {"gain": 0.5, "offset": 1.0}, "wires": {"u": "b.y"}}
+    b = {"use": "coupled_parts:LINE", "with": {"gain": 0.5}, "wires": {"u": faulty("a.y", bias)}}
+    for solve in ("fixed-point", "newton"):
+        found = record({"a": a, "b": b}, coupling={"solve": solve})
+        expected = np.where(np.arange(11) < 4, 4.0 / 3.0, 7.0 / 3.0)
+        # A loop is solved to 1e-9 of its signals.
+        np.testing.assert_allclose(found["a.y"], expected, rtol=1e-8)
+    crossed = {"use": "swap", "between": ["a.y", "b.y"], "from": "4 ms"}
+    with pytest.raises(ConfigurationError, match="algebraic loop"):
+        system({"a": a, "b": {**b, "wires": {"u": "one"}}, "one": source(), "crossed": crossed})
+
+
+def test_plants_that_take_smaller_steps_have_no_faults_between_them() -> None:
+    mass = {"use": "coupled_parts:MASS", "wires": {"force": faulty("spring.force", {"gain": 2.0, "from": "1 s"})}}
+    spring = {"use": "coupled_parts:SPRING", "wires": {"x": "mass.x"}}
+    told = "plants that feed each other take smaller steps (coupling.error), which faults between them cannot count"
+    parts = {"mass": mass, "spring": spring}
+    assert problems(parts, coupling={"error": 1e-6}) == [told]
+    sound = {"use": "coupled_parts:MASS", "wires": {"force": "spring.force"}}
+    swapped = {"use": "swap", "between": ["mass.x", "other.x"], "from": "1 s"}
+    parts |= {"mass": sound, "other": sound, "crossed": swapped}
+    assert problems(parts, coupling={"error": 1e-6}) == [told, told]
+    assert len(record(parts).time) == 11
+
+
 # A campaign
 
 CAMPAIGN = """\
@@ -657,8 +703,8 @@ def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> N
     # The report shades what was recorded: a source's row is the one after that whose time it belongs to.
     (whole, part) = declared_figures(read_run(tmp_path / "out"))
     assert [(window.label, window.since, window.until) for window in whole.windows] == [
-        ("plant__T_eng: gain 0.5", 3.001, 4.0),
         ("a: bias 50.0 rpm", 1.0, 2.0),
+        ("plant__T_eng: gain 0.5", 3.001, 4.0),
     ]
     assert [(window.label, window.since, window.until) for window in part.windows] == [("b: drift 100.0 rpm", 1.5, 2.0)]
     page = write_report(tmp_path / "out").read_text(encoding="utf-8")
