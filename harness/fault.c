@@ -20,9 +20,8 @@ typedef struct {
     /* state: how many samples it has acted, this one counted, 0 while it does not; and the time of its begin */
     int64_t acted;
     double begin;
-    /* the state kept */
+    /* the state kept; the begin stays what it was, or is met again */
     int64_t kept_acted;
-    double kept_begin;
 } Fault;
 
 /* Brings the faults to a sample; the code of the first listed that acts then, 0 where none does. */
@@ -43,16 +42,10 @@ static int64_t faults_at(Fault *faults, int64_t count, double t, double edge, in
 
 static void keep_faults(Fault *faults, int64_t count)
 {
-    for (int64_t i = 0; i < count; i++) {
-        faults[i].kept_acted = faults[i].acted;
-        faults[i].kept_begin = faults[i].begin;
-    }
+    for (int64_t i = 0; i < count; i++) faults[i].kept_acted = faults[i].acted;
 }
 
 static void restore_faults(Fault *faults, int64_t count)
 {
-    for (int64_t i = 0; i < count; i++) {
-        faults[i].acted = faults[i].kept_acted;
-        faults[i].begin = faults[i].kept_begin;
-    }
+    for (int64_t i = 0; i < count; i++) faults[i].acted = faults[i].kept_acted;
 }

@@ -102,7 +102,6 @@ class CFault(ctypes.Structure):
         ("acted", ctypes.c_int64),
         ("begin", ctypes.c_double),
         ("kept_acted", ctypes.c_int64),
-        ("kept_begin", ctypes.c_double),
     ]
 
 

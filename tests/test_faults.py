@@ -690,7 +690,7 @@ def test_parts_with_faults_and_swaps_keep_the_laws_of_a_component() -> None:
     for timed in ("end", "begin"):
         check_component(lambda timed=timed: SensorComponent(signal, Errors(faults=faults), 1e-3, timed=timed))
     pair = [Given(f"{name}.y", signal, StatusPart(1.0, 0)) for name in ("one", "two")]
-    check_component(lambda: SwapComponent(pair, Window(0.01, 0.03), 1e-3))
+    check_component(lambda: SwapComponent(pair, Window(first=10, last=30), 1e-3))
 
 
 def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> None:
