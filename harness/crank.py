@@ -10,8 +10,7 @@ import numpy as np
 from fmus.component import Native, Reversal, Role, Signal, StepError, Vector
 from harness.clock import CrankGrid, Grid, degrees, read_tdc
 from harness.findings import Findings
-from harness.native import address, native_reversal, native_step
-from harness.native import library as native_library
+from harness.native import address, call, native_reversal, native_step
 from harness.scenario import CrankPart
 
 
@@ -72,11 +71,11 @@ class CrankComponent:
             cylinders=len(self.tdc),
             tdc=address(self.tdc),
         )
-        return self._called("crankbench_crank_start", (t0,), u)
+        return call("crankbench_crank_start", self._state, t0, u=u, outputs=len(self.outputs))[1]
 
     def step(self, t: float, h: float, u: Vector) -> Vector:
         """The outputs at the next instant, shape (n_outputs,)."""
-        return self._called("crankbench_crank_step", (t, h), u)
+        return call("crankbench_crank_step", self._started(), t, h, u=u, outputs=len(self.outputs))[1]
 
     def native(self) -> Native:
         """The step in C."""
@@ -94,13 +93,6 @@ class CrankComponent:
         if self._state is None:
             raise StepError("the crank wants a start before it is stepped")
         return self._state
-
-    def _called(self, function: str, times: Sequence[float], u: Vector) -> Vector:
-        outputs, inputs = np.zeros(len(self.outputs)), np.ascontiguousarray(u, dtype=float)
-        arguments = [ctypes.c_double(time) for time in times]
-        ends = (ctypes.c_void_p(inputs.ctypes.data), ctypes.c_void_p(outputs.ctypes.data))
-        getattr(native_library(), function)(ctypes.byref(self._started()), *arguments, *ends)
-        return outputs
 
 
 def build_crank(spec: CrankPart, measured: Signal | None, grid: Grid, found: Findings) -> CrankComponent:

@@ -55,7 +55,9 @@ def cycle_text(wires: Iterable[Wire]) -> str:
     return ", ".join(map(str, wires))
 
 
-def order_parts(parts: Mapping[str, bool], wires: Iterable[Wire], loops: Literal["refused", "solved"]) -> Order:
+def order_parts(
+    parts: Mapping[str, bool], wires: Iterable[Wire], loops: Literal["refused", "solved"] = "refused"
+) -> Order:
     """The order in which every direct wire comes from a part already stepped.
 
     `parts`: names as declared, and whether each is a sensor. As long as there is a cycle, the wires that enter one of
