@@ -16,7 +16,7 @@ from plotly.offline import get_plotlyjs
 
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
-from reports.errors import Errors, pool, samples_of
+from reports.errors import Errors, declared_confusions, pool, samples_of
 from reports.folder import Case, Run, read_run
 from reports.interactive import interactive, points_a_trace
 from reports.traces import TRUTH_COLOUR, Figure, declared_figures, part_colours
@@ -90,8 +90,8 @@ def render(run: Run) -> str:
         plotly=Markup(get_plotlyjs()) if any(plots) else "",
         histograms=_histograms(run, errors),
         confusions=[
-            (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.values) <= VALUES_DRAWN else "")
-            for n, matrix in enumerate(confusions)
+            (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.classes) <= VALUES_DRAWN else "")
+            for n, matrix in enumerate([*declared_confusions(run), *confusions])
         ],
         detections=_detections(run),
         delays=_delays(run),
@@ -157,6 +157,8 @@ def _histograms(run: Run, errors: Sequence[Errors]) -> list[tuple[str, Sequence[
 def _detections(run: Run) -> list[dict[str, Any]]:
     rows = []
     for name in _detection_names(run):
+        per_hour = f"{name}.false_alarms_per_hour"
+        rate = per_hour if per_hour in run.metric_names() else f"{name}.false_alarms_per_min"
         for scenario, cases in standing.scenarios(run).items():
             pooled = samples_of(run, f"{name}.delay", cases)
             if any(f"{name}.changes" in case.metrics or f"{name}.delay" in case.samples for case in cases):
@@ -171,8 +173,8 @@ def _detections(run: Run) -> list[dict[str, Any]]:
                         "median": _nearest_rank(pooled, 0.5),
                         "p95": _nearest_rank(pooled, 0.95),
                         "unit": standing.unit_of(run, f"{name}.delay"),
-                        "alarms": _mean(cases, f"{name}.false_alarms_per_min"),
-                        "alarms_unit": standing.unit_of(run, f"{name}.false_alarms_per_min"),
+                        "alarms": _mean(cases, rate),
+                        "alarms_unit": standing.unit_of(run, rate),
                         "accuracy": _mean(cases, f"{name}.accuracy"),
                     }
                 )

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,31 +15,54 @@ from reports.folder import Case, Run
 
 # Kinds of metric, and parts of a metric with several values, of which more is better, and of which less is. Of others
 # a criterion with > and a number says that more is better.
-BETTER_WHEN_HIGHER = ("accuracy", "share_within", "convergence_rate")
+BETTER_WHEN_HIGHER = ("accuracy", "share_within", "convergence_rate", "confusion", "true_positive_rate")
 BETTER_WHEN_LOWER = (
     "rmse",
     "max_error",
     "bias",
+    "nrmse",
+    "settling",
+    "crank_error",
+    "harmonic_error",
     "delay_median",
     "delay_p95",
     "missed",
     "false_alarms",
     "false_alarms_per_min",
+    "false_alarms_per_hour",
+    "false_alarms_per_cycle",
+    "false_positive_rate",
 )
-# What a definition says beside its kind.
-OPTIONS = ("description", "after", "until", "unit", "only", "meaning")
+# Kinds, and parts of a metric, of which neither more nor less is better.
+UNRANKED = ("nees", "changes", "faults", "cycles", "dropped")
+# Kinds and parts that have a sign, and are the better the nearer to zero they are.
+NEAR_ZERO = (("bias", ""), ("harmonic_error", "amplitude"), ("harmonic_error", "phase"))
+# Kinds that are written in capitals.
+ACRONYMS = ("rmse", "nrmse", "nees", "nis")
+# What a definition says beside the arguments of its kind, and what of it a reader is told.
+OPTIONS = ("description", "after", "until", "angle", "unit", "only", "kind", "version", "meaning", "compares")
+TOLD = ("after", "until", "angle", "unit", "only")
+
+
+Otherwise = TypeVar("Otherwise", float, str)
 
 
 @dataclass(frozen=True)
 class Definition:
-    """A metric as declared: its kind, the pairs (truth, estimate) it compares, the signals it looks at."""
+    """A metric as declared: its kind, the pairs (truth, estimate) it compares, the part it speaks of.
+
+    `window` tells two windows apart, `settings` two metrics of one kind that are given different numbers; `after` is in
+    s, -inf where the window starts with the record or at a crank angle.
+    """
 
     name: str
     kind: str
+    version: str
     pairs: tuple[tuple[str, str], ...]
-    signals: tuple[str, ...]
+    part: str
+    window: tuple[float | str, ...]
     after: float
-    until: float
+    settings: str
     text: str
     meaning: str
 
@@ -72,21 +95,25 @@ class Standing:
 
 
 def definitions(run: Run) -> dict[str, Definition]:
-    """The campaign's metrics by name; windows in s."""
+    """The campaign's metrics by name."""
     found = {}
     for name, raw in (run.campaign.get("metrics") or {}).items():
         options: Mapping[str, Any] = raw if isinstance(raw, Mapping) else {}
-        kind = next((key for key in options if key not in OPTIONS), name)
-        pairs = tuple(_pairs(options.get(kind)))
-        signals = tuple(dict.fromkeys(_signals(options.get(kind))))
-        rest = [f"{key} {_plain(value)}" for key, value in options.items() if key in OPTIONS[1:5] and value is not None]
+        kind = str(options.get("kind") or name)
+        pairs = tuple((str(truth), str(estimate)) for truth, estimate in options.get("compares") or ())
+        signals = _signals(options.get(kind))
+        subject = pairs[0][1] if pairs else signals[-1] if len(signals) > 1 else ""
+        rest = [f"{key} {_plain(value)}" for key, value in options.items() if key in TOLD and value is not None]
+        edges = [options.get(key) for key in ("after", "until")]
         found[str(name)] = Definition(
             name=str(name),
             kind=kind,
+            version=str(options.get("version") or ""),
             pairs=pairs,
-            signals=signals,
-            after=_seconds(options.get("after"), -math.inf),
-            until=_seconds(options.get("until"), math.inf),
+            part=subject.split(".")[0],
+            window=tuple("" if edge is None else _seconds(edge, str(edge)) for edge in edges),
+            after=_seconds(edges[0], -math.inf),
+            settings=_settings(options.get(kind)),
             text="; ".join([f"{kind} of {_measured_on(options.get(kind))}", *rest]),
             meaning=str(options.get("description") or options.get("meaning") or ""),
         )
@@ -98,14 +125,15 @@ def observers(run: Run) -> dict[str, str]:
     declared = (run.campaign.get("report") or {}).get("observers") or {}
     if declared:
         return {name: str((entry or {}).get("title") or _title(name)) for name, entry in declared.items()}
-    parts = [
-        definition.signals[1].split(".")[0] for definition in definitions(run).values() if len(definition.signals) > 1
-    ]
-    return {part: _title(part) for part in dict.fromkeys(parts)}
+    parts = dict.fromkeys(definition.part for definition in definitions(run).values() if definition.part)
+    return {part: _title(part) for part in parts}
 
 
 def quantities(run: Run) -> list[Quantity]:
-    """What the observers are measured by: metrics of one kind, window, unit and truth are one quantity."""
+    """What the observers are measured by: metrics of one kind, truth, window, setting and unit are one quantity.
+
+    One of which neither more nor less is better is a quantity of its own.
+    """
     known = definitions(run)
     grouped: dict[tuple[Any, ...], dict[str, str]] = {}
     labels: dict[tuple[Any, ...], str] = {}
@@ -113,7 +141,8 @@ def quantities(run: Run) -> list[Quantity]:
         base, _, part = metric.partition(".")
         definition = known.get(metric) or known.get(base)
         observer = observer_of(run, metric)
-        if definition is None or not definition.pairs or not observer:
+        unranked = definition is None or {definition.kind, part} & set(UNRANKED)
+        if definition is None or unranked or not definition.pairs or not observer:
             key: tuple[Any, ...] = (metric,)
             label = metric
         else:
@@ -121,14 +150,15 @@ def quantities(run: Run) -> list[Quantity]:
             key = (
                 definition.kind,
                 truths,
-                definition.after,
-                definition.until,
+                definition.window,
+                definition.settings,
                 part,
                 unit_of(run, metric),
             )
-            label = f"{_readable(definition.kind)} of {', '.join(truths)}" + (
-                f": {part.replace('_', ' ')}" if part else ""
-            )
+            label = f"{_readable(definition.kind)} of {', '.join(truths)}"
+            label += f" ({definition.settings})" if definition.settings else ""
+            label += f": {part.replace('_', ' ')}" if part else ""
+            label += ", magnitude" if (definition.kind, part) in NEAR_ZERO else ""
         if observer in grouped.get(key, {}):
             key, label = (metric,), metric
         grouped.setdefault(key, {})[observer] = metric
@@ -151,8 +181,7 @@ def observer_of(run: Run, metric: str) -> str:
         if {metric, base} & set((entry or {}).get("metrics") or ()):
             return str(name)
     definition = definitions(run).get(base)
-    part = definition.signals[-1].split(".")[0] if definition and len(definition.signals) > 1 else ""
-    return part if part in observers(run) else ""
+    return definition.part if definition and definition.part in observers(run) else ""
 
 
 def unit_of(run: Run, metric: str) -> str:
@@ -170,13 +199,16 @@ def standing(
     higher_is_better: bool,
     cases: Sequence[Case] | None = None,
 ) -> Standing:
-    """Median, p95 and worst of a metric over `cases`, all where None."""
+    """Median, p95 and worst of a metric over `cases`, all where None; of its magnitude where it is to be near zero."""
+    base, _, part = metric.partition(".")
+    definition = definitions(run).get(base)
+    near_zero = definition is not None and (definition.kind, part) in NEAR_ZERO
     sign = -1.0 if higher_is_better else 1.0
     values, failed = [], []
     for case in run.cases if cases is None else cases:
         value = case.metrics[metric].value if metric in case.metrics else math.nan
         if not math.isnan(value):
-            values.append((sign * value, case.label))
+            values.append((abs(value) if near_zero else sign * value, case.label))
         elif not case.complete:
             failed.append((math.inf, case.label))
     ranked = sorted(values + failed, key=lambda pair: pair[0])
@@ -241,24 +273,24 @@ def _signals(value: Any) -> list[str]:
     return [name for item in items for name in _signals(item)]
 
 
-def _pairs(value: Any) -> list[tuple[str, str]]:
-    if isinstance(value, Mapping):
-        return [pair for item in value.values() for pair in _pairs(item)]
-    if not isinstance(value, list):
-        return []
-    if len(value) == 2 and all(isinstance(item, str) for item in value):
-        return [(value[0], value[1])] if len(_signals(value)) == 2 else []
-    return [pair for item in value for pair in _pairs(item)]
+def _settings(value: Any) -> str:
+    """What a metric is given beside signals, as `by range, bound 2 rpm`."""
+    if not isinstance(value, Mapping):
+        return ""
+    told = {key: item for key, item in value.items() if not _signals(item) and key != "scales"}
+    return ", ".join(f"{key} {_plain(item)}" for key, item in told.items())
 
 
-def _seconds(value: Any, otherwise: float) -> float:
+def _seconds(value: Any, otherwise: Otherwise) -> float | Otherwise:
+    """A time in s; `otherwise` where it is none."""
     if isinstance(value, (int, float)):
         return float(value)
     try:
         number, unit = parse_quantity(str(value))
-        return parse_unit(unit).to_si(number)
+        parsed = parse_unit(unit)
     except UnitError:
         return otherwise
+    return parsed.to_si(number) if parsed.same_dimension(parse_unit("s")) else otherwise
 
 
 def _measured_on(value: Any) -> str:
@@ -277,7 +309,7 @@ def _plain(value: Any) -> str:
 
 
 def _readable(kind: str) -> str:
-    return "RMSE" if kind == "rmse" else kind.replace("_", " ").capitalize()
+    return kind.upper() if kind in ACRONYMS else kind.replace("_", " ").capitalize()
 
 
 def _title(name: str) -> str:
