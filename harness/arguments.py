@@ -24,10 +24,15 @@ NO_CRANK_ANGLE = (
 
 
 class Result(NamedTuple):
-    """What one value of a metric is: `error` (a difference), `signal` (with its offset), or a fixed unit."""
+    """What one value of a metric is: `error` (a difference), `signal` (with its offset), `count`, or a fixed unit."""
 
     of: str
     sampled: bool = False
+
+    @property
+    def own_unit(self) -> str:
+        """The unit of the values as they are computed, where it is not that of a signal."""
+        return "1" if self.of == "count" else self.of
 
 
 PAIR_SCHEMA = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}

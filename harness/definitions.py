@@ -120,18 +120,19 @@ def results(definitions: Mapping[str, Definition]) -> dict[str, tuple[str, Resul
 
 def value_part(definitions: Mapping[str, Definition], value: str) -> str:
     """The part that a value speaks of: that of the estimate where there is one, else of the signal."""
-    names = definitions[results(definitions)[value][0]].arguments.names()
-    return names[min(1, len(names) - 1)].partition(".")[0]
+    arguments = definitions[results(definitions)[value][0]].arguments
+    compared = arguments.compared()
+    return (compared[0][1] if compared else arguments.names()[0]).partition(".")[0]
 
 
 def shown_unit(definition: Definition, result: Result, signals: Mapping[str, Signal]) -> str:
     """The unit that a value is shown in: `unit` where it speaks of such values, else its own.
 
-    It speaks of those in the unit of the signals where the metric has such, else of those of its dimension.
+    It speaks of those in the unit of the signals where the metric has such, else of those of its dimension, but counts.
     """
-    own = definition.arguments.unit(signals) if result.of in OF_SIGNALS else result.of
+    own = definition.arguments.unit(signals) if result.of in OF_SIGNALS else result.own_unit
     of_signals = any(one.of in OF_SIGNALS for one in definition.kind.results.values())
-    spoken_of = result.of in OF_SIGNALS or not of_signals
+    spoken_of = result.of in OF_SIGNALS if of_signals else result.of != "count"
     if definition.unit is not None and spoken_of and parse_unit(definition.unit).same_dimension(parse_unit(own)):
         return definition.unit
     return own
@@ -225,4 +226,4 @@ def _shown(value: Any, result: Result, unit: str) -> Any:
         return (np.asarray(value) - shown.offset) / shown.factor
     if result.of == "error":
         return np.asarray(value) / shown.factor
-    return np.asarray(value) * (parse_unit(result.of).factor / shown.factor)
+    return np.asarray(value) * (parse_unit(result.own_unit).factor / shown.factor)

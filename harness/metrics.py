@@ -29,7 +29,7 @@ class Kind:
 
 
 ERROR, SIGNAL, SHARE, SECONDS, DEGREES = Result("error"), Result("signal"), Result("1"), Result("s"), Result("deg")
-COUNT = SHARE
+COUNT = Result("count")
 DELAYS = {
     "delay": Result("s", sampled=True),
     "delay_median": SECONDS,

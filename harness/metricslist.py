@@ -67,5 +67,5 @@ def _arguments(kind: Kind) -> Iterator[Mapping[str, Any]]:
 
 
 def _value(suffix: str, result: Result) -> Mapping[str, Any]:
-    unit = _UNITS.get(result.of, result.of)
+    unit = _UNITS.get(result.of, result.own_unit)
     return {"name": f".{suffix}" if suffix else "", "unit": unit, "samples": result.sampled}

@@ -14,6 +14,7 @@ import numpy as np
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from fmus.units import parse_unit
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
 from reports.errors import Errors, declared_confusions, pool, samples_of
@@ -182,14 +183,23 @@ def _detections(run: Run) -> list[dict[str, Any]]:
 
 
 def _delays(run: Run) -> Markup | str:
-    found = {
-        standing.observer_of(run, name) or name: samples_of(run, f"{name}.delay") for name in _detection_names(run)
-    }
-    found = {observer: samples for observer, samples in found.items() if len(samples)}
+    found = {name: samples_of(run, f"{name}.delay") for name in _detection_names(run)}
+    found = {name: samples for name, samples in found.items() if len(samples)}
     if not found:
         return ""
-    unit = standing.unit_of(run, f"{_detection_names(run)[0]}.delay")
-    return Markup(figures.delays(found, unit, standing.observers(run), part_colours(run), "delays"))
+    unit = standing.unit_of(run, f"{next(iter(found))}.delay")
+    found = {name: samples * _in(standing.unit_of(run, f"{name}.delay"), unit) for name, samples in found.items()}
+    parts = {name: standing.observer_of(run, name) for name in found}
+    titles, colours = standing.observers(run), part_colours(run)
+    shared = Counter(parts.values())
+    named = {name: titles[part] if part and shared[part] == 1 else name for name, part in parts.items()}
+    inked = {name: colours[part] for name, part in parts.items() if part in colours}
+    return Markup(figures.delays(found, unit, named, inked, "delays"))
+
+
+def _in(unit: str, wanted: str) -> float:
+    """What a value in one unit is multiplied by to be in another of its dimension."""
+    return parse_unit(unit).factor / parse_unit(wanted).factor
 
 
 def _detection_names(run: Run) -> list[str]:

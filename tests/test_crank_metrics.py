@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
@@ -86,6 +86,7 @@ def test_the_error_of_a_harmonic_is_the_harmonic_of_the_error():
     assert found[""] == pytest.approx(alone[""], rel=1e-10)
 
 
+@settings(max_examples=50, deadline=None)
 @given(arrays(float, 360, elements=st.floats(-10, 10)), st.integers(0, 119))
 def test_the_energy_of_a_cycle_is_the_sum_of_its_harmonics(signal, first):
     crank = 6.0 * (first + np.arange(360))
@@ -151,6 +152,7 @@ def test_cylinders_that_fire_unevenly_have_their_top_dead_centres_given():
     assert (found["cylinder_2"], found["cylinder_1"]) == (1.0, 2.0)
 
 
+@settings(max_examples=50, deadline=None)
 @given(arrays(float, (4, 12), elements=st.floats(-10, 10)), st.integers(0, 11))
 def test_what_repeats_and_what_scatters_make_up_the_whole_error(error, rest):
     crank = 60.0 * np.arange(48 + rest)
@@ -226,6 +228,7 @@ def test_rows_that_do_not_divide_the_cycle_want_a_step():
     assert (found[""], found["phase"]) == (pytest.approx(3.0, rel=2e-3), pytest.approx(10.0, abs=0.1))
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.integers(1, 40), st.integers(1, 12), st.integers(0, 200))
 def test_a_record_of_one_instant_in_some_gives_the_harmonics_of_the_rows_it_has(per_cycle, every, first):
     assume(120 % every == 0 and 2 * per_cycle < 120 // every)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from records import TIME, measured, on_crank, record, values_of
@@ -65,6 +65,7 @@ def test_an_alarm_that_was_on_before_its_fault_has_no_delay_but_was_false():
     assert (list(found["delay"]), found["false_alarms"]) == ([0.0], 1)
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=40))
 def test_an_alarm_is_what_looking_at_every_row_finds(rows):
     fault, raised = np.array(rows, dtype=float).T
@@ -148,6 +149,7 @@ def test_a_class_that_never_comes_has_no_recall_and_no_precision():
     assert found["accuracy"] == 0.8
 
 
+@settings(max_examples=50, deadline=None)
 @given(
     st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=60),
     st.permutations(range(5)),

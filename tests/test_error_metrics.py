@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from records import TIME, measured, on_crank, record, values_of
@@ -44,6 +44,7 @@ def test_the_normaliser_is_of_the_truth_in_the_window_and_none_where_the_truth_s
     assert math.isnan(values_of(definition, record(columns))[""])
 
 
+@settings(max_examples=50, deadline=None)
 @given(
     st.lists(st.tuples(st.floats(-100, 100), st.floats(-100, 100)), min_size=2, max_size=20),
     st.floats(0.01, 100),
@@ -123,6 +124,7 @@ def test_settling_takes_its_bound_from_a_signal_too():
     assert values_of(definition, record(decay({"observer.bound": (bound, "rad")})))[""] == pytest.approx(0.6)
 
 
+@settings(max_examples=50, deadline=None)
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(0.1, 9))
 def test_settling_is_what_looking_at_every_row_finds(errors, bound):
     time = 0.5 * np.arange(len(errors))

@@ -200,6 +200,38 @@ def test_a_metric_over_crank_angle_says_what_it_wants_at_its_place_before_anythi
     assert not (tmp_path / "run").exists()
 
 
+CRANK_CLOCK = """\
+campaign: turning
+clock: {crank: {step: 6 deg, stop: 10 rev, speed: engine, firing_order: [1, 3, 4, 2], origin: 90 deg}}
+parts:
+  engine: {use: source, unit: rpm, ramp: {at: 0 s, until: 1 s, from: 1500 rpm, to: 3000 rpm}}
+  crank: {use: crank}
+  gauge: {use: sensor, of: crank.phase, bias: 2 deg}
+metrics:
+  window: {crank_average: {signal: crank.phase, from: 180 deg, to: 360 deg}, unit: deg, after: 720 deg}
+  error: {crank_error: {error: [crank.phase, gauge.value]}, unit: deg}
+  first: {minimum: crank.angle, after: 1000 deg, unit: deg}
+"""
+
+
+@pytest.mark.parametrize(("record", "apart"), [("", 6), ("record: {every: 5}\n", 30)])
+def test_on_a_crank_clock_crank_metrics_take_the_recorded_rows(tmp_path, record, apart):
+    run(tmp_path, CRANK_CLOCK + record)
+    found = read_run(tmp_path / "run").cases[0].metrics
+    rows = np.arange(180, 360, apart)
+    # The angle passes through radians and back.
+    assert found["window"].value == pytest.approx(rows.mean(), abs=1e-9)
+    assert (found["window"].unit, found["window.windows"].value) == ("deg", 4)
+    assert (found["error"].value, found["error.scatter"].value) == (pytest.approx(2.0), pytest.approx(0.0, abs=1e-9))
+    assert found["error.cycles"].value == 4
+    assert found["first"].value == pytest.approx(90 + apart * math.ceil((1000 - 90) / apart))
+
+
+def test_rows_that_do_not_divide_the_cycle_are_refused_before_the_run(tmp_path):
+    with pytest.raises(ConfigurationError, match="rows 42 deg apart do not divide the cycle"):
+        run(tmp_path, CRANK_CLOCK + "record: {every: 7}\n")
+
+
 def test_every_kind_is_in_the_table_of_the_documentation_with_every_value_it_gives():
     table = re.findall(r"^\| (`.*?) \|.*?\| (.*) \|$", (DOCS / "campaign.md").read_text(), re.MULTILINE)
     told = {kind: values for kinds, values in table for kind in re.findall(r"`(\w+)`", kinds)}

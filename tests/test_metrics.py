@@ -207,6 +207,12 @@ def test_the_unit_shown_of_a_detection_is_that_of_its_delays_only():
     assert shown_unit(definition, results["missed"], {}) == "1"
 
 
+def test_a_unit_of_shares_is_not_that_of_counts():
+    columns = {"plant.q": (TIME > 0.5, "1"), "observer.q": (TIME > 0.6, "1")}
+    found = measured({"detection": ["plant.q", "observer.q"], "unit": "%"}, columns).values
+    assert (found["m.accuracy"].unit, found["m.changes"]) == ("%", (1.0, "1"))
+
+
 def test_another_definition_has_another_digest():
     first, second = (Definition.model_validate({"mean": "plant.x", "after": after}) for after in ("1 s", "2 s"))
     assert digest({"m": first}) != digest({"m": second})
