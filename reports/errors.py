@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from reports.definitions import definitions
 from reports.folder import Case, Matrix, Run
 from reports.signals import Vector, from_si, read_recorded
-from reports.standing import definitions
 
 # Samples a histogram keeps of a truth and estimate; beyond it every n-th of a case is taken, and the report says so.
 SAMPLES_KEPT = 500_000

@@ -17,6 +17,7 @@ from plotly.offline import get_plotlyjs
 from fmus.units import parse_unit
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
+from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, pool, samples_of
 from reports.folder import Case, Run, read_run
 from reports.interactive import interactive, points_a_trace
@@ -99,7 +100,7 @@ def render(run: Run) -> str:
         published=_published(run),
         cases_listed=run.cases if len(run.cases) <= CASES_LISTED else (),
         metric_names=run.metric_names(),
-        definitions=standing.definitions(run),
+        definitions=definitions(run),
         facts=provenance.facts(run),
         binaries=provenance.binaries(run),
         orders=provenance.step_orders(run),
@@ -204,7 +205,7 @@ def _in(unit: str, wanted: str) -> float:
 
 def _detection_names(run: Run) -> list[str]:
     sampled = {name for case in run.cases for name in case.samples if name.endswith(".delay")}
-    return [name for name in standing.definitions(run) if f"{name}.delay" in sampled]
+    return [name for name in definitions(run) if f"{name}.delay" in sampled]
 
 
 def _published(run: Run) -> list[dict[str, Any]]:

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from fmus.units import UnitError, parse_quantity, parse_unit
+from reports.definitions import definitions
 from reports.folder import Case, Run, RunFolderError
 from reports.signals import Column, Vector, read_columns, same_dimension
-from reports.standing import definitions, observers
+from reports.standing import observers
 
 # Okabe and Ito's colours (the blue lighter), readable on light and dark and by the colour-blind; the truth is grey.
 COLOURS = (

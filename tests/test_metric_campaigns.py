@@ -17,10 +17,11 @@ from harness.cases import execute
 from harness.cli import main, schema_text
 from harness.metrics import KINDS
 from harness.metricslist import SHARED, metric_kinds
+from reports.definitions import definitions
 from reports.errors import declared_confusions
 from reports.folder import read_run
 from reports.html import write_report
-from reports.standing import definitions, quantities
+from reports.standing import quantities
 
 DOCS = Path(__file__).parent.parent / "docs"
 # An alarm that comes 20 ms late, goes 20 ms late, and is false once; classes that are told apart but for one.
