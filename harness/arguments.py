@@ -1,50 +1,44 @@
-"""The arguments of the metrics as a campaign writes them, and the arrays they stand for."""
+"""What metrics are given: errors, bounds and signals as a campaign writes them, and the arrays they stand for."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
-from typing import Annotated, Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from fmus.component import Signal
 from fmus.units import Unit, UnitError, parse_unit
-from harness.quantity import Measure, Quantity, Strict, read_measure
+from harness.quantity import Measure, Quantity, Strict
 from harness.validation import nearest_hint
+from harness.window import Window
 
 Vector = NDArray[np.float64]
 Pair = tuple[str, str]
-_SIGNAL = re.compile(r"[A-Za-z_]\w*\.\S+$")
+NO_CRANK_ANGLE = (
+    "wants the crank angle of the rows, which a record on a time clock does not have: "
+    "name the signal that holds it, `angle: part.signal`"
+)
 
 
-class Window(NamedTuple):
-    """The rows of a record that a metric looks at: time (n,) [s] and the columns by name, in SI."""
+class Result(NamedTuple):
+    """What one value of a metric is: `error` (a difference), `signal` (with its offset), `count`, or a fixed unit."""
 
-    time: Vector
-    column: Callable[[str], Vector]
+    of: str
+    sampled: bool = False
 
-
-def read_bound(raw: Any) -> Measure | str:
-    """A signal's name as `part.signal`, or a number with a unit."""
-    return raw if isinstance(raw, str) and _SIGNAL.match(raw) else read_measure(raw)
-
-
-Bound = Annotated[
-    Any,
-    BeforeValidator(read_bound),
-    WithJsonSchema(
-        {"type": ["string", "number"], "description": "number with a unit, or a signal that holds the bound"}
-    ),
-]
+    @property
+    def own_unit(self) -> str:
+        """The unit of the values as they are computed, where it is not that of a signal."""
+        return "1" if self.of == "count" else self.of
 
 
-_PAIR_SCHEMA = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
+PAIR_SCHEMA = {"type": "array", "items": {"type": "string"}, "minItems": 2, "maxItems": 2}
 
 
-def _short_form_too(*short: dict[str, Any]) -> ConfigDict:
+def short_form_too(*short: dict[str, Any]) -> ConfigDict:
     """Lets the JSON Schema allow the short forms beside the mapping."""
 
     def extend(schema: dict[str, Any]) -> None:
@@ -62,6 +56,14 @@ class Arguments(Strict):
         """The signals it looks at."""
         raise NotImplementedError
 
+    def compared(self) -> list[Pair]:
+        """The [truth, estimate] among them."""
+        return []
+
+    def results(self, offered: Mapping[str, Result]) -> Mapping[str, Result]:
+        """What it gives of the values that its kind offers."""
+        return offered
+
     def arrays(self, window: Window) -> tuple[Any, ...]:
         """What the function of the metric is called with."""
         raise NotImplementedError
@@ -74,6 +76,32 @@ class Arguments(Strict):
         """What is wrong with the signals' names and units, in words."""
         unknown = [name for name in self.names() if name not in signals]
         return [f"no recorded signal is named '{name}'{nearest_hint(name, signals)}" for name in dict.fromkeys(unknown)]
+
+    def crank_misfits(self, rows: CrankRows) -> list[str]:
+        """What is wrong between it and how the crank angle of the rows is known, in words."""
+        return []
+
+
+class CrankRows(NamedTuple):
+    """How the crank angle of the rows is known: `apart` [deg] from row to row of a crank clock, else a signal."""
+
+    apart: float | None = None
+    angle: str | None = None
+
+    @property
+    def unknown(self) -> bool:
+        """True where nothing gives the crank angle."""
+        return self.apart is None and self.angle is None
+
+
+def expanded(offered: Mapping[str, Result], placeholder: str, names: Iterable[str]) -> dict[str, Result]:
+    """The results with `{placeholder}` in a suffix replaced by each of the names."""
+    mark = f"{{{placeholder}}}"
+    return {
+        suffix.replace(mark, name): result
+        for suffix, result in offered.items()
+        for name in (names if mark in suffix else [""])
+    }
 
 
 def read_errors(raw: Any) -> Any:
@@ -89,7 +117,7 @@ class Errors(Arguments):
     e = estimate - truth for one pair, e = sqrt(sum_i ((estimate_i - truth_i)/scale_i)^2) for several.
     """
 
-    model_config = _short_form_too(_PAIR_SCHEMA, {"type": "array", "items": _PAIR_SCHEMA, "minItems": 1})
+    model_config = short_form_too(PAIR_SCHEMA, {"type": "array", "items": PAIR_SCHEMA, "minItems": 1})
 
     pairs: list[Pair] = Field(min_length=1, description="[truth, estimate] each")
     scales: list[Quantity] | None = Field(None, description="one a pair: what each error is divided by")
@@ -111,14 +139,22 @@ class Errors(Arguments):
         """All truths and estimates."""
         return [name for pair in self.pairs for name in pair]
 
+    def compared(self) -> list[Pair]:
+        """All of them."""
+        return self.pairs
+
     def norm(self, window: Window) -> Vector:
         """e by row, shape (n,)."""
         scales = [difference(scale) for scale in self.scales or []] or [1.0] * len(self.pairs)
-        errors = [
-            (window.column(estimate) - window.column(truth)) / scale
-            for (truth, estimate), scale in zip(self.pairs, scales, strict=True)
-        ]
-        return errors[0] if len(errors) == 1 else np.sqrt(np.sum(np.square(errors), axis=0))
+        errors = (scaled_error(pair, scale, window) for pair, scale in zip(self.pairs, scales, strict=True))
+        total = next(errors)
+        if len(self.pairs) == 1:
+            return total
+        total *= total
+        for error in errors:
+            error *= error
+            total += error
+        return np.sqrt(total, out=total)
 
     def arrays(self, window: Window) -> tuple[Any, ...]:
         """(e,)."""
@@ -135,11 +171,11 @@ class Errors(Arguments):
             return messages
         for index, (truth, estimate) in enumerate(self.pairs):
             wanted = signals[truth].unit
-            if not _fits(signals[estimate].unit, wanted):
+            if not fits(signals[estimate].unit, wanted):
                 messages.append(f"{estimate} wants {wanted} like {truth}, got {signals[estimate].unit}")
-            if self.scales is not None and not _fits(self.scales[index].unit, wanted):
+            if self.scales is not None and not fits(self.scales[index].unit, wanted):
                 messages.append(f"the scale of {truth} wants {wanted}, got {self.scales[index]}")
-            if self.scales is None and not _fits(wanted, signals[self.pairs[0][0]].unit):
+            if self.scales is None and not fits(wanted, signals[self.pairs[0][0]].unit):
                 messages.append(f"a norm over {self.pairs[0][0]} and {truth} wants scales: their units differ")
         return messages
 
@@ -154,84 +190,12 @@ class SignedError(Errors):
         return self
 
 
-class Within(Arguments):
-    """An error and the bound it is to stay within."""
-
-    error: Errors
-    bound: Bound
-
-    def names(self) -> list[str]:
-        """The pairs' signals and the bound's, where it is one."""
-        return self.error.names() + ([self.bound] if isinstance(self.bound, str) else [])
-
-    def arrays(self, window: Window) -> tuple[Any, ...]:
-        """(e, bound by row)."""
-        if isinstance(self.bound, str):
-            return self.error.norm(window), window.column(self.bound)
-        return self.error.norm(window), np.full(len(window.time), difference(self.bound))
-
-    def misfits(self, signals: Mapping[str, Signal]) -> list[str]:
-        """Also a bound of another dimension than the error."""
-        messages = super().misfits(signals) or self.error.misfits(signals)
-        if messages:
-            return messages
-        wanted = self.error.unit(signals)
-        got = signals[self.bound].unit if isinstance(self.bound, str) else self.bound.unit
-        return [] if _fits(got, wanted) else [f"the bound wants {wanted}, got {self.bound} {got}".rstrip()]
-
-
-class Convergence(Arguments):
-    """An error and the decay rate demanded of it."""
-
-    error: Errors
-    demanded: Quantity
-
-    @model_validator(mode="after")
-    def _a_rate(self) -> Convergence:
-        if self.demanded.si("1/s") <= 0:
-            raise ValueError(f"demanded wants a rate above 0 1/s, got {self.demanded}")
-        return self
-
-    def names(self) -> list[str]:
-        """The pairs' signals."""
-        return self.error.names()
-
-    def arrays(self, window: Window) -> tuple[Any, ...]:
-        """(time, e, demanded rate)."""
-        return window.time, self.error.norm(window), self.demanded.si("1/s")
-
-    def misfits(self, signals: Mapping[str, Signal]) -> list[str]:
-        """Those of the error."""
-        return self.error.misfits(signals)
-
-
-class Discrete(Arguments):
-    """[truth, estimate] of discrete signals."""
-
-    model_config = _short_form_too(_PAIR_SCHEMA)
-
-    pair: Pair
-
-    @model_validator(mode="before")
-    @classmethod
-    def _short_form(cls, raw: Any) -> Any:
-        return {"pair": raw} if isinstance(raw, list) else raw
-
-    def names(self) -> list[str]:
-        """Truth and estimate."""
-        return list(self.pair)
-
-    def arrays(self, window: Window) -> tuple[Any, ...]:
-        """(time, truth, estimate)."""
-        return window.time, window.column(self.pair[0]), window.column(self.pair[1])
-
-
 class One(Arguments):
     """One signal."""
 
-    model_config = _short_form_too({"type": "string"})
+    model_config = short_form_too({"type": "string"})
 
-    signal: str
+    signal: str = Field(description="its name, as part.output")
 
     @model_validator(mode="before")
     @classmethod
@@ -243,8 +207,25 @@ class One(Arguments):
         return [self.signal]
 
     def arrays(self, window: Window) -> tuple[Any, ...]:
+        """(signal,)."""
+        return (window.column(self.signal),)
+
+
+class OneInTime(One):
+    """One signal, and the time of each row."""
+
+    def arrays(self, window: Window) -> tuple[Any, ...]:
         """(time, signal)."""
         return window.time, window.column(self.signal)
+
+
+def scaled_error(pair: Pair, scale: float, window: Window) -> Vector:
+    """(estimate - truth)/scale by row, shape (n,), an array of its own."""
+    truth, estimate = pair
+    error = window.column(estimate) - window.column(truth)
+    if scale != 1.0:
+        error /= scale
+    return error
 
 
 def difference(measure: Measure) -> float:
@@ -252,12 +233,14 @@ def difference(measure: Measure) -> float:
     return measure.value * parse_unit(measure.unit).factor
 
 
-def _fits(unit: str, wanted: str) -> bool:
-    return _parsed(unit).same_dimension(_parsed(wanted))
+def fits(unit: str, wanted: str) -> bool:
+    """True where a value in `unit` can be one in `wanted`; a unit that nobody knows counts as none."""
+    return dimension(unit) == dimension(wanted)
 
 
-def _parsed(unit: str) -> Unit:
+def dimension(unit: str) -> tuple[int, ...]:
+    """The exponents of the base units; none where nobody knows the unit."""
     try:
-        return parse_unit(unit)
+        return parse_unit(unit).exponents
     except UnitError:
-        return Unit()
+        return Unit().exponents

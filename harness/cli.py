@@ -22,6 +22,7 @@ from harness.checking import Checked
 from harness.checking import check as check_fmu
 from harness.doctor import examine, remove_unpacked
 from harness.fmutext import check_lines, inspection_lines, survey_line, words
+from harness.metricslist import metric_kinds, metric_lines
 from harness.progress import progress
 from harness.runfolder import plain
 from harness.surveying import Manner, keep, survey
@@ -235,6 +236,15 @@ def doctor(
             print(f"{name:<12} {words(value)}")
     if findings["problems"]:
         raise typer.Exit(MISUSED)
+
+
+@app.command()
+def metrics(as_json: Json = False) -> None:
+    """List the kinds of metric: what each is given, its values with their units, its version and definition."""
+    if as_json:
+        _print_json(metric_kinds())
+    else:
+        print(*metric_lines(), sep="\n")
 
 
 @app.command()

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.units import UnitError, parse_unit
+from harness.arguments import Result
 from harness.definitions import Value
-from harness.metrics import Result, percentile
+from harness.percentile import percentile
 from harness.record import COMPLETE
 from harness.validation import nearest_hint
 
@@ -207,8 +208,8 @@ def _case_by_case(criterion: Criterion, cases: Sequence[Judged], units: Mapping[
 
 
 def _margin(comparison: str, value: float, bound: float) -> float:
-    """How far a value is on the right side of its bound; -inf where one is no number."""
-    if math.isnan(value) or math.isnan(bound):
+    """How far a value is on the right side of its bound; -inf where one is not finite."""
+    if not (math.isfinite(value) and math.isfinite(bound)):
         return -math.inf
     if comparison.startswith("<"):
         return bound - value

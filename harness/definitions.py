@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,14 +14,18 @@ from pydantic import Field, create_model, model_validator
 
 from fmus.component import Problem, Signal
 from fmus.units import parse_unit
-from harness.arguments import Arguments, Window
-from harness.metrics import KINDS, Kind, Result
+from harness.arguments import NO_CRANK_ANGLE, Arguments, CrankRows, Result, dimension
+from harness.diagnosismetrics import Matrix
+from harness.metrics import KINDS, Kind
 from harness.places import Places
 from harness.quantity import Quantity, Strict
-from harness.record import Record
+from harness.validation import nearest_hint
+from harness.window import Recorded, is_angle, window
 
-# Rows are counted as inside a window when they miss its ends by less than this, relative to the time.
-ROUNDING = 1e-9
+# What a value of signals, or of a difference of them, is called by its result.
+OF_SIGNALS = ("error", "signal")
+# What the values depend on beside the functions of the kinds.
+MEASURING = [f"harness.{name}" for name in ("arguments", "crankrows", "metrics", "percentile", "window")]
 
 
 class Value(NamedTuple):
@@ -30,12 +35,21 @@ class Value(NamedTuple):
     unit: str
 
 
+class Measured(NamedTuple):
+    """What the metrics of a record gave: values by name, samples of those that have them, matrices by metric."""
+
+    values: dict[str, Value]
+    samples: dict[str, list[float]]
+    matrices: dict[str, Matrix]
+
+
 class Options(Strict):
     """What every metric may say: its window, its unit and the experiments it is measured in."""
 
     description: str = ""
-    after: Quantity | None = Field(None, description="rows before this time are left out")
-    until: Quantity | None = Field(None, description="rows after this time are left out")
+    after: Quantity | None = Field(None, description="rows before this time or crank angle are left out")
+    until: Quantity | None = Field(None, description="rows after this time or crank angle are left out")
+    angle: str | None = Field(None, description="signal that holds the crank angle, where the clock is one of time")
     unit: str | None = Field(None, description="unit to show the values in; of a detection, its delays")
     only: list[str] | None = Field(None, description="experiments to measure it in; all where absent")
 
@@ -45,22 +59,33 @@ class Options(Strict):
         if len(given) != 1:
             raise ValueError(f"wants one of {', '.join(KINDS)}, got {' and '.join(given) or 'none'}")
         for name in ("after", "until"):
-            if getattr(self, name) is not None:
-                getattr(self, name).si("s")
+            edge = getattr(self, name)
+            if edge is not None and not (is_angle(edge) or dimension(edge.unit) == dimension("s")):
+                raise ValueError(f"{name} wants a time or a crank angle, like 0.5 s or 720 deg, got {edge}")
         if self.unit is not None:
             parse_unit(self.unit)
         return self
 
     @property
+    def kind_name(self) -> str:
+        """What kind of measure it is."""
+        return next(kind for kind in KINDS if getattr(self, kind, None) is not None)
+
+    @property
     def kind(self) -> Kind:
         """The kind of measure."""
-        return next(KINDS[kind] for kind in KINDS if getattr(self, kind, None) is not None)
+        return KINDS[self.kind_name]
 
     @property
     def arguments(self) -> Arguments:
         """What it is measured on."""
-        found: Arguments = next(getattr(self, kind) for kind in KINDS if getattr(self, kind, None) is not None)
+        found: Arguments = getattr(self, self.kind_name)
         return found
+
+    @property
+    def results(self) -> Mapping[str, Result]:
+        """What its values are, by suffix."""
+        return self.arguments.results(self.kind.results)
 
     def covers(self, experiment: str) -> bool:
         """True where it is measured in this experiment."""
@@ -89,27 +114,38 @@ def results(definitions: Mapping[str, Definition]) -> dict[str, tuple[str, Resul
     return {
         value_name(metric, suffix): (metric, result)
         for metric, definition in definitions.items()
-        for suffix, result in definition.kind.results.items()
+        for suffix, result in definition.results.items()
     }
 
 
 def value_part(definitions: Mapping[str, Definition], value: str) -> str:
     """The part that a value speaks of: that of the estimate where there is one, else of the signal."""
-    names = definitions[results(definitions)[value][0]].arguments.names()
-    return names[min(1, len(names) - 1)].partition(".")[0]
+    arguments = definitions[results(definitions)[value][0]].arguments
+    compared = arguments.compared()
+    return (compared[0][1] if compared else arguments.names()[0]).partition(".")[0]
 
 
 def shown_unit(definition: Definition, result: Result, signals: Mapping[str, Signal]) -> str:
-    """The unit that a value is shown in: `unit` where it has that dimension, else its own."""
-    own = definition.arguments.unit(signals) if result.of in ("error", "signal") else result.of
-    if definition.unit is not None and parse_unit(definition.unit).same_dimension(parse_unit(own)):
+    """The unit that a value is shown in: `unit` where it speaks of such values, else its own.
+
+    It speaks of those in the unit of the signals where the metric has such, else of those of its dimension, but counts.
+    """
+    own = definition.arguments.unit(signals) if result.of in OF_SIGNALS else result.own_unit
+    of_signals = any(one.of in OF_SIGNALS for one in definition.kind.results.values())
+    spoken_of = result.of in OF_SIGNALS if of_signals else result.of != "count"
+    if definition.unit is not None and spoken_of and parse_unit(definition.unit).same_dimension(parse_unit(own)):
         return definition.unit
     return own
 
 
-def misfits(name: str, definition: Definition, signals: Mapping[str, Signal], places: Places) -> list[Problem]:
-    """What is wrong with a metric, once the signals it can look at are known."""
-    messages = definition.arguments.misfits(signals)
+def misfits(
+    name: str, definition: Definition, signals: Mapping[str, Signal], places: Places, apart: float | None = None
+) -> list[Problem]:
+    """What is wrong with a metric, once the signals it can look at are known.
+
+    `apart` [deg] is the crank angle from row to row, None on a time clock.
+    """
+    messages = definition.arguments.misfits(signals) + _crank_misfits(definition, signals, apart)
     if not messages and definition.unit is not None:
         shown = [shown_unit(definition, result, signals) for result in definition.kind.results.values()]
         if definition.unit not in shown:
@@ -117,55 +153,71 @@ def misfits(name: str, definition: Definition, signals: Mapping[str, Signal], pl
     return [places.problem(f"metrics.{name}: {message}", "metrics", name) for message in messages]
 
 
-def measure(
-    definitions: Mapping[str, Definition], record: Record, experiment: str
-) -> tuple[dict[str, Value], dict[str, list[float]]]:
-    """The values of the metrics of one complete record, and the samples of those that have them, in shown units."""
+def _crank_misfits(definition: Definition, signals: Mapping[str, Signal], apart: float | None) -> list[str]:
+    angle = definition.angle
+    if angle is not None and angle not in signals:
+        return [f"angle: no recorded signal is named '{angle}'{nearest_hint(angle, signals)}"]
+    if angle is not None and dimension(signals[angle].unit) != dimension("rad"):
+        return [f"angle wants a signal in rad, got {angle} in {signals[angle].unit}"]
+    rows = CrankRows(apart, angle)
+    edges = {name: getattr(definition, name) for name in ("after", "until")}
+    found = [f"{name} {edge} {NO_CRANK_ANGLE}" for name, edge in edges.items() if edge and is_angle(edge)]
+    return (found if rows.unknown else []) + definition.arguments.crank_misfits(rows)
+
+
+def measure(definitions: Mapping[str, Definition], record: Recorded, experiment: str) -> Measured:
+    """The values of the metrics of one complete record in shown units, with their samples and matrices.
+
+    They are taken over the rows that were recorded: of a record with one instant in ten, over those.
+    """
     signals = {signal.name: signal for signal in record.signals}
-    values: dict[str, Value] = {}
-    samples: dict[str, list[float]] = {}
+    measured = Measured({}, {}, {})
     for metric, definition in definitions.items():
         if not definition.covers(experiment):
             continue
-        kind = definition.kind
-        outcome = kind.function(*definition.arguments.arrays(_window(definition, record)))
+        rows = window(record, definition.after, definition.until, definition.angle)
+        outcome = definition.kind.function(*definition.arguments.arrays(rows))
         found = outcome if isinstance(outcome, Mapping) else {"": outcome}
-        for suffix, result in kind.results.items():
+        for suffix, result in definition.results.items():
             unit = shown_unit(definition, result, signals)
             shown = _shown(found[suffix], result, unit)
             if result.sampled:
-                samples[value_name(metric, suffix)] = [float(sample) for sample in np.atleast_1d(shown)]
+                measured.samples[value_name(metric, suffix)] = [float(sample) for sample in np.atleast_1d(shown)]
             else:
-                values[value_name(metric, suffix)] = Value(float(shown), unit)
-    return values, samples
+                measured.values[value_name(metric, suffix)] = Value(float(shown), unit)
+        if isinstance(matrix := found.get("matrix"), Matrix):
+            measured.matrices[metric] = matrix
+    return measured
 
 
 def digest(definitions: Mapping[str, Definition]) -> str:
     """Sha256 of the definitions and of the code that measures them: where it differs, metrics are measured again."""
     text = json.dumps(written(definitions), sort_keys=True)
-    sources = [Path(__file__), *(Path(__file__).with_name(name) for name in ("metrics.py", "arguments.py"))]
+    modules = {kind.function.__module__ for kind in KINDS.values()} | {__name__, *MEASURING}
+    sources = [Path(str(sys.modules[name].__file__)) for name in sorted(modules)]
     return hashlib.sha256(text.encode() + b"".join(source.read_bytes() for source in sources)).hexdigest()
 
 
-def written(definitions: Mapping[str, Definition]) -> dict[str, Any]:
-    """The definitions as plain data, as campaign.json keeps them, each with its meaning."""
+def meanings(definitions: Mapping[str, Definition]) -> dict[str, dict[str, Any]]:
+    """What campaign.json says of each metric beside its definition: kind, version, meaning, and what is compared."""
     return {
-        name: definition.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_defaults=True)
-        | {"meaning": " ".join((definition.kind.function.__doc__ or "").split())}
+        name: {
+            "kind": definition.kind_name,
+            "version": definition.kind.version,
+            "meaning": definition.kind.meaning,
+            "compares": [list(pair) for pair in definition.arguments.compared()],
+        }
         for name, definition in definitions.items()
     }
 
 
-def _window(definition: Definition, record: Record) -> Window:
-    time = record.time
-    rows = np.ones(len(time), dtype=bool)
-    if definition.after is not None:
-        after = definition.after.si("s")
-        rows &= time >= after - ROUNDING * max(1.0, abs(after))
-    if definition.until is not None:
-        until = definition.until.si("s")
-        rows &= time <= until + ROUNDING * max(1.0, abs(until))
-    return Window(time[rows], lambda name: record[name][rows])
+def written(definitions: Mapping[str, Definition]) -> dict[str, Any]:
+    """The definitions as plain data, each with its meaning."""
+    told = meanings(definitions)
+    return {
+        name: definition.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_defaults=True) | told[name]
+        for name, definition in definitions.items()
+    }
 
 
 def _shown(value: Any, result: Result, unit: str) -> Any:
@@ -174,4 +226,4 @@ def _shown(value: Any, result: Result, unit: str) -> Any:
         return (np.asarray(value) - shown.offset) / shown.factor
     if result.of == "error":
         return np.asarray(value) / shown.factor
-    return np.asarray(value) * (parse_unit(result.of).factor / shown.factor)
+    return np.asarray(value) * (parse_unit(result.own_unit).factor / shown.factor)

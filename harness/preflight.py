@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from fmus.component import ConfigurationError, Problem, Signal
 from fmus.fmu import FmuComponent
 from harness.campaign import Campaign, Case
+from harness.crankrows import rows_apart
 from harness.criteria import bound_misfit
 from harness.definitions import misfits, results, shown_unit
 from harness.references import place_at
@@ -66,9 +67,10 @@ def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = 
         if recorded is None:
             continue
         signals[experiment] = {signal.name: signal for signal in recorded}
+        apart = rows_apart(cases[0].scenario)
         for name, definition in campaign.metrics.items():
             if definition.covers(experiment):
-                found = misfits(name, definition, signals[experiment], campaign.places)
+                found = misfits(name, definition, signals[experiment], campaign.places, apart)
                 problems += found
                 if not found:
                     units |= _units(campaign, name, signals[experiment])

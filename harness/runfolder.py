@@ -17,8 +17,9 @@ from typing import Any
 from fmus.whole import write_whole
 from harness.campaign import Campaign, Case
 from harness.criteria import Judged, Verdict
-from harness.definitions import Definition, Value, digest, measure, value_part, written
-from harness.record import COMPLETE, Record, read_signals, write_signals
+from harness.definitions import Definition, Measured, Value, digest, meanings, measure, value_part
+from harness.record import COMPLETE, Record, write_signals
+from harness.stored import StoredRecord
 
 VERSIONED = ("crankbench", "numpy", "scipy", "casadi", "fmpy", "pyarrow", "pandas")
 # Outcomes that depend on the machine of the day: such a case is run again when the campaign is resumed.
@@ -63,7 +64,8 @@ def read_case(folder: Path, key: str) -> dict[str, Any]:
 def write_case(folder: Path, case: Case, record: Record, definitions: Mapping[str, Definition]) -> None:
     """Keep a run: first its signals, then case.json with its metrics, which means done."""
     write_signals(record, case_folder(folder, case.key) / "signals.parquet")
-    values, samples = measure(definitions, record, case.experiment) if record.outcome in COMPLETE else ({}, {})
+    complete = record.outcome in COMPLETE
+    measured = measure(definitions, record, case.experiment) if complete else Measured({}, {}, {})
     warnings = [*([record.message] if record.outcome == "warning" else []), *record.tolerated]
     content = {
         **_identity(case),
@@ -73,8 +75,7 @@ def write_case(folder: Path, case: Case, record: Record, definitions: Mapping[st
         "message": record.message,
         "starts": record.starts,
         "wall": record.wall,
-        "metrics": values,
-        "samples": samples,
+        **_measured(measured),
         "definitions": digest(definitions),
         "warnings": warnings,
         "log": record.log,
@@ -111,17 +112,16 @@ def measure_again(folder: Path, case: Case, definitions: Mapping[str, Definition
     """Take a finished case's metrics anew from its signals."""
     content = read_case(folder, case.key)
     if content["outcome"] in COMPLETE:
-        record = read_signals(case_folder(folder, case.key) / "signals.parquet")
-        values, samples = measure(definitions, record, case.experiment)
-        content |= {"metrics": values, "samples": samples}
+        record = StoredRecord(case_folder(folder, case.key) / "signals.parquet")
+        content |= _measured(measure(definitions, record, case.experiment))
     write_json(case_folder(folder, case.key) / "case.json", {**content, "definitions": digest(definitions)})
 
 
 def judged(folder: Path, case: Case) -> Judged:
-    """What acceptance needs of a case, as case.json keeps it: a null value is NaN, a null sample infinite."""
+    """What acceptance needs of a case, from case.json: a null value is what `is` says, a null sample infinite."""
     found = read_case(folder, case.key)
     metrics = {
-        name: Value(math.nan if entry["value"] is None else entry["value"], entry["unit"])
+        name: Value(float(entry.get("is", "nan")) if entry["value"] is None else entry["value"], entry["unit"])
         for name, entry in (found.get("metrics") or {}).items()
     }
     samples = {
@@ -156,7 +156,7 @@ def write_campaign(folder: Path, campaign: Campaign) -> None:
     for content in ended:
         fmus = {**(content.get("fmus") or {}), **fmus}
     as_written = campaign.written
-    meanings = written(campaign.metrics)
+    told = meanings(campaign.metrics)
     content = {
         "campaign": campaign.name,
         "description": as_written.get("description", ""),
@@ -181,10 +181,7 @@ def write_campaign(folder: Path, campaign: Campaign) -> None:
         "held": first.get("held", []),
         "experiments": as_written.get("experiments") or {},
         "validation": as_written.get("validation", "warn"),
-        "metrics": {
-            name: {**raw, "meaning": meanings[name]["meaning"]}
-            for name, raw in (as_written.get("metrics") or {}).items()
-        },
+        "metrics": {name: {**raw, **told[name]} for name, raw in (as_written.get("metrics") or {}).items()},
         **{key: as_written.get(key) for key in ("clock", "parts", "accept", "report")},
     }
     write_json(folder / "campaign.json", content)
@@ -200,6 +197,15 @@ def commit() -> str:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return ""
+
+
+def _measured(measured: Measured) -> dict[str, Any]:
+    """What case.json keeps of the metrics. JSON has no infinity: such a value is null and `is` says which."""
+    values = {
+        name: {**value._asdict(), **({"is": str(value.value)} if math.isinf(value.value) else {})}
+        for name, value in measured.values.items()
+    }
+    return {"metrics": values, "samples": measured.samples, "matrices": measured.matrices}
 
 
 def _identity(case: Case) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Pools the samples of all cases: estimation errors for histograms, true against estimated locations for confusion."""
+"""Pools all cases: the samples of estimation errors, and the rows of each true class by the class estimated."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from reports.folder import Case, Run
+from reports.definitions import definitions
+from reports.folder import Case, Matrix, Run
 from reports.signals import Vector, from_si, read_recorded
-from reports.standing import definitions
 
 # Samples a histogram keeps of a truth and estimate; beyond it every n-th of a case is taken, and the report says so.
 SAMPLES_KEPT = 500_000
@@ -38,12 +38,16 @@ class Errors:
 
 @dataclass(frozen=True)
 class Confusion:
-    """How many samples had true location `values[i]` and estimate `values[j]`: `counts[i, j]`."""
+    """How many samples had the true class `classes[i]` and the estimated `classes[j]`: `counts[i, j]`.
+
+    `metric` is the one that counted them, empty where the signals of the cases were counted here.
+    """
 
     pair: Pair
-    values: tuple[int, ...]
+    classes: tuple[str, ...]
     counts: np.ndarray
     cases: int
+    metric: str = ""
 
     @property
     def accuracy(self) -> float:
@@ -52,12 +56,16 @@ class Confusion:
 
 
 def pairs(run: Run) -> list[Pair]:
-    """Every truth and estimate that a metric compares, once, from the latest time any of its metrics starts."""
+    """Every truth and estimate that a metric compares, once, from the latest time any of its metrics starts.
+
+    Without those that a metric counts a confusion of, and those of an alarm, which estimates no fault's size.
+    """
     latest: dict[tuple[str, str], float] = {}
+    counted = {pair for one in definitions(run).values() if one.kind in ("confusion", "alarm") for pair in one.pairs}
     for definition in definitions(run).values():
-        if len(definition.signals) == 2:
-            truth, estimate = definition.signals
-            latest[truth, estimate] = max(latest.get((truth, estimate), definition.after), definition.after)
+        for pair in definition.pairs if len(definition.pairs) == 1 else ():
+            if pair not in counted:
+                latest[pair] = max(latest.get(pair, definition.after), definition.after)
     return [Pair(truth, estimate, after) for (truth, estimate), after in latest.items()]
 
 
@@ -99,6 +107,32 @@ def pool(run: Run) -> tuple[list[Errors], list[Confusion]]:
     return real, [_confusion(pair, counts[pair], cases[pair]) for pair in wanted if counts[pair]]
 
 
+def declared_confusions(run: Run) -> list[Confusion]:
+    """The matrices of each confusion metric, added up over the cases that have one."""
+    found = []
+    for name, definition in definitions(run).items():
+        matrices = [case.matrices[name] for case in run.cases if name in case.matrices]
+        if not matrices or not definition.pairs:
+            continue
+        classes = _in_order(matrices)
+        counts = np.zeros((len(classes), len(classes)), dtype=int)
+        for matrix in matrices:
+            at = [classes.index(one) for one in matrix.classes]
+            counts[np.ix_(at, at)] += np.array(matrix.counts, dtype=int)
+        pair = Pair(*definition.pairs[0], definition.after)
+        found.append(Confusion(pair, classes, counts, len(matrices), name))
+    return found
+
+
+def _in_order(matrices: Sequence[Matrix]) -> tuple[str, ...]:
+    """All their classes: by value where they are numbers, else as declared; what is none of them last."""
+    classes = dict.fromkeys(one for matrix in matrices for one in matrix.classes)
+    try:
+        return tuple(sorted(classes, key=float))
+    except ValueError:
+        return tuple(sorted(classes, key=lambda one: one == "other"))
+
+
 def samples_of(run: Run, name: str, cases: Sequence[Case] | None = None) -> Vector:
     """The samples of that name pooled over the cases, shape (n,), as case.json gives them."""
     return np.array([value for case in (run.cases if cases is None else cases) for value in case.samples.get(name, ())])
@@ -115,8 +149,8 @@ def _crossings(truth: Vector, estimate: Vector) -> Counter[tuple[int, int]]:
 
 
 def _confusion(pair: Pair, counted: Counter[tuple[int, int]], cases: int) -> Confusion:
-    values = tuple(sorted({value for crossing in counted for value in crossing}))
+    values = sorted({value for crossing in counted for value in crossing})
     counts = np.zeros((len(values), len(values)), dtype=int)
     for (true, seen), n in counted.items():
         counts[values.index(true), values.index(seen)] = n
-    return Confusion(pair, values, counts, cases)
+    return Confusion(pair, tuple(map(str, values)), counts, cases)

@@ -150,10 +150,10 @@ def error_histograms(errors: Sequence[Errors], titles: Sequence[str], colours: S
 
 
 def confusion(matrix: Confusion, name: str) -> str:
-    """True by estimated location, each row in percent of the samples of that true location."""
+    """True by estimated class, each row in percent of the samples of that true class."""
     counts = matrix.counts
     shares = 100.0 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    size = len(matrix.values)
+    size = len(matrix.classes)
     with matplotlib.rc_context(STYLE | {"axes.grid": False}):
         drawing = Drawing(figsize=(1.6 + 1.05 * size, 0.9 + 0.72 * size), layout="constrained")
         axis = drawing.subplots()
@@ -164,8 +164,8 @@ def confusion(matrix: Confusion, name: str) -> str:
                 ",", "\N{NARROW NO-BREAK SPACE}"
             )
             axis.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=colour, fontsize=9)
-        axis.set_xticks(np.arange(size) + 0.5, [str(value) for value in matrix.values])
-        axis.set_yticks(np.arange(size) + 0.5, [str(value) for value in matrix.values])
+        axis.set_xticks(np.arange(size) + 0.5, list(matrix.classes))
+        axis.set_yticks(np.arange(size) + 0.5, list(matrix.classes))
         axis.set_xlabel(f"estimated: {matrix.pair.estimate}")
         axis.set_ylabel(f"true: {matrix.pair.truth}")
         axis.tick_params(length=0)

@@ -32,6 +32,14 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class Matrix:
+    """`counts[i][j]`: how many rows of a case had the true class `classes[i]` and the estimated class `classes[j]`."""
+
+    classes: tuple[str, ...]
+    counts: tuple[tuple[int, ...], ...]
+
+
+@dataclass(frozen=True)
 class Case:
     """One case: what was varied, how it ended, what was measured; `outcome` is `missing` where it never finished."""
 
@@ -45,6 +53,7 @@ class Case:
     message: str = ""
     metrics: Mapping[str, Measured] = field(default_factory=dict)
     samples: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    matrices: Mapping[str, Matrix] = field(default_factory=dict)
     starts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     wall: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[Any, ...] = ()
@@ -248,8 +257,9 @@ def _read_case(folder: Path, entry: Any) -> Case:
         part=str(found.get("part") or ""),
         failed_at=_number(found.get("failed_at")),
         message=str(found.get("message") or ""),
-        metrics=_all_measured(path, found.get("metrics") or {}),
+        metrics={name: _measured(path, name, metric) for name, metric in (found.get("metrics") or {}).items()},
         samples={name: tuple(map(_sample, values)) for name, values in (found.get("samples") or {}).items()},
+        matrices={name: _matrix(path, name, raw) for name, raw in (found.get("matrices") or {}).items()},
         starts=found.get("starts") or {},
         wall=found.get("wall") or {},
         warnings=tuple(found.get("warnings") or ()),
@@ -260,21 +270,24 @@ def _read_case(folder: Path, entry: Any) -> Case:
     )
 
 
-def _all_measured(path: Path, found: Mapping[str, Any]) -> dict[str, Measured]:
-    """The metrics by name. JSON has no infinity: a delay that is null where changes were missed is infinite."""
-    metrics = {name: _measured(path, name, metric) for name, metric in found.items()}
-    for name, metric in metrics.items():
-        base, _, part = name.rpartition(".")
-        missed = metrics.get(f"{base}.missed", Measured(0.0)).value
-        if part in ("delay_median", "delay_p95") and math.isnan(metric.value) and missed > 0:
-            metrics[name] = Measured(math.inf, metric.unit)
-    return metrics
-
-
 def _measured(path: Path, name: str, metric: Any) -> Measured:
+    """A metric; JSON has no infinity: a value is null then, and `is` says which."""
     if not isinstance(metric, dict) or "value" not in metric:
         raise RunFolderError(f"{path}: metric {name} wants {{value, unit}}, got {_short(metric)}")
-    return Measured(_number(metric["value"]), str(metric.get("unit") or "1"))
+    infinite = metric["value"] is None and metric.get("is") in ("inf", "-inf")
+    return Measured(float(metric["is"]) if infinite else _number(metric["value"]), str(metric.get("unit") or "1"))
+
+
+def _matrix(path: Path, name: str, raw: Any) -> Matrix:
+    found: Mapping[str, Any] = raw if isinstance(raw, dict) else {}
+    classes, counts = found.get("classes"), found.get("counts")
+    if isinstance(classes, list) and isinstance(counts, list):
+        sizes = [len(counts), *(len(row) if isinstance(row, list) else -1 for row in counts)]
+        if sizes == [len(classes)] * (len(classes) + 1):
+            return Matrix(tuple(map(str, classes)), tuple(tuple(map(int, row)) for row in counts))
+    raise RunFolderError(
+        f"{path}: matrix {name} wants {{classes, counts}}, a row and a column a class, got {_short(raw)}"
+    )
 
 
 def _read(path: Path, wanted: type) -> Any:

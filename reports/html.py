@@ -14,9 +14,11 @@ import numpy as np
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from fmus.units import parse_unit
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
-from reports.errors import Errors, pool, samples_of
+from reports.definitions import definitions
+from reports.errors import Errors, declared_confusions, pool, samples_of
 from reports.folder import Case, Run, read_run
 from reports.interactive import interactive, points_a_trace
 from reports.traces import TRUTH_COLOUR, Figure, declared_figures, part_colours
@@ -90,15 +92,15 @@ def render(run: Run) -> str:
         plotly=Markup(get_plotlyjs()) if any(plots) else "",
         histograms=_histograms(run, errors),
         confusions=[
-            (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.values) <= VALUES_DRAWN else "")
-            for n, matrix in enumerate(confusions)
+            (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.classes) <= VALUES_DRAWN else "")
+            for n, matrix in enumerate([*declared_confusions(run), *confusions])
         ],
         detections=_detections(run),
         delays=_delays(run),
         published=_published(run),
         cases_listed=run.cases if len(run.cases) <= CASES_LISTED else (),
         metric_names=run.metric_names(),
-        definitions=standing.definitions(run),
+        definitions=definitions(run),
         facts=provenance.facts(run),
         binaries=provenance.binaries(run),
         orders=provenance.step_orders(run),
@@ -157,6 +159,8 @@ def _histograms(run: Run, errors: Sequence[Errors]) -> list[tuple[str, Sequence[
 def _detections(run: Run) -> list[dict[str, Any]]:
     rows = []
     for name in _detection_names(run):
+        per_hour = f"{name}.false_alarms_per_hour"
+        rate = per_hour if per_hour in run.metric_names() else f"{name}.false_alarms_per_min"
         for scenario, cases in standing.scenarios(run).items():
             pooled = samples_of(run, f"{name}.delay", cases)
             if any(f"{name}.changes" in case.metrics or f"{name}.delay" in case.samples for case in cases):
@@ -171,8 +175,8 @@ def _detections(run: Run) -> list[dict[str, Any]]:
                         "median": _nearest_rank(pooled, 0.5),
                         "p95": _nearest_rank(pooled, 0.95),
                         "unit": standing.unit_of(run, f"{name}.delay"),
-                        "alarms": _mean(cases, f"{name}.false_alarms_per_min"),
-                        "alarms_unit": standing.unit_of(run, f"{name}.false_alarms_per_min"),
+                        "alarms": _mean(cases, rate),
+                        "alarms_unit": standing.unit_of(run, rate),
                         "accuracy": _mean(cases, f"{name}.accuracy"),
                     }
                 )
@@ -180,19 +184,28 @@ def _detections(run: Run) -> list[dict[str, Any]]:
 
 
 def _delays(run: Run) -> Markup | str:
-    found = {
-        standing.observer_of(run, name) or name: samples_of(run, f"{name}.delay") for name in _detection_names(run)
-    }
-    found = {observer: samples for observer, samples in found.items() if len(samples)}
+    found = {name: samples_of(run, f"{name}.delay") for name in _detection_names(run)}
+    found = {name: samples for name, samples in found.items() if len(samples)}
     if not found:
         return ""
-    unit = standing.unit_of(run, f"{_detection_names(run)[0]}.delay")
-    return Markup(figures.delays(found, unit, standing.observers(run), part_colours(run), "delays"))
+    unit = standing.unit_of(run, f"{next(iter(found))}.delay")
+    found = {name: samples * _in(standing.unit_of(run, f"{name}.delay"), unit) for name, samples in found.items()}
+    parts = {name: standing.observer_of(run, name) for name in found}
+    titles, colours = standing.observers(run), part_colours(run)
+    shared = Counter(parts.values())
+    named = {name: titles[part] if part and shared[part] == 1 else name for name, part in parts.items()}
+    inked = {name: colours[part] for name, part in parts.items() if part in colours}
+    return Markup(figures.delays(found, unit, named, inked, "delays"))
+
+
+def _in(unit: str, wanted: str) -> float:
+    """What a value in one unit is multiplied by to be in another of its dimension."""
+    return parse_unit(unit).factor / parse_unit(wanted).factor
 
 
 def _detection_names(run: Run) -> list[str]:
     sampled = {name for case in run.cases for name in case.samples if name.endswith(".delay")}
-    return [name for name in standing.definitions(run) if f"{name}.delay" in sampled]
+    return [name for name in definitions(run) if f"{name}.delay" in sampled]
 
 
 def _published(run: Run) -> list[dict[str, Any]]:

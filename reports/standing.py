@@ -10,38 +10,35 @@ from typing import Any
 
 import numpy as np
 
-from fmus.units import UnitError, parse_quantity, parse_unit
+from reports.definitions import definitions
 from reports.folder import Case, Run
 
 # Kinds of metric, and parts of a metric with several values, of which more is better, and of which less is. Of others
 # a criterion with > and a number says that more is better.
-BETTER_WHEN_HIGHER = ("accuracy", "share_within", "convergence_rate")
+BETTER_WHEN_HIGHER = ("accuracy", "share_within", "convergence_rate", "confusion", "true_positive_rate")
 BETTER_WHEN_LOWER = (
     "rmse",
     "max_error",
     "bias",
+    "nrmse",
+    "settling",
+    "crank_error",
+    "harmonic_error",
     "delay_median",
     "delay_p95",
     "missed",
     "false_alarms",
     "false_alarms_per_min",
+    "false_alarms_per_hour",
+    "false_alarms_per_cycle",
+    "false_positive_rate",
 )
-# What a definition says beside its kind.
-OPTIONS = ("description", "after", "until", "unit", "only", "meaning")
-
-
-@dataclass(frozen=True)
-class Definition:
-    """A metric as declared: its kind, the pairs (truth, estimate) it compares, the signals it looks at."""
-
-    name: str
-    kind: str
-    pairs: tuple[tuple[str, str], ...]
-    signals: tuple[str, ...]
-    after: float
-    until: float
-    text: str
-    meaning: str
+# Kinds, and parts of a metric, of which neither more nor less is better.
+UNRANKED = ("nees", "changes", "faults", "cycles", "dropped")
+# Kinds and parts that have a sign, and are the better the nearer to zero they are.
+NEAR_ZERO = (("bias", ""), ("harmonic_error", "amplitude"), ("harmonic_error", "phase"))
+# Kinds that are written in capitals.
+ACRONYMS = ("rmse", "nrmse", "nees", "nis")
 
 
 @dataclass(frozen=True)
@@ -71,41 +68,20 @@ class Standing:
     worst_case: str
 
 
-def definitions(run: Run) -> dict[str, Definition]:
-    """The campaign's metrics by name; windows in s."""
-    found = {}
-    for name, raw in (run.campaign.get("metrics") or {}).items():
-        options: Mapping[str, Any] = raw if isinstance(raw, Mapping) else {}
-        kind = next((key for key in options if key not in OPTIONS), name)
-        pairs = tuple(_pairs(options.get(kind)))
-        signals = tuple(dict.fromkeys(_signals(options.get(kind))))
-        rest = [f"{key} {_plain(value)}" for key, value in options.items() if key in OPTIONS[1:5] and value is not None]
-        found[str(name)] = Definition(
-            name=str(name),
-            kind=kind,
-            pairs=pairs,
-            signals=signals,
-            after=_seconds(options.get("after"), -math.inf),
-            until=_seconds(options.get("until"), math.inf),
-            text="; ".join([f"{kind} of {_measured_on(options.get(kind))}", *rest]),
-            meaning=str(options.get("description") or options.get("meaning") or ""),
-        )
-    return found
-
-
 def observers(run: Run) -> dict[str, str]:
     """Titles of the observers by part: as the report section names them, else the parts compared with a truth."""
     declared = (run.campaign.get("report") or {}).get("observers") or {}
     if declared:
         return {name: str((entry or {}).get("title") or _title(name)) for name, entry in declared.items()}
-    parts = [
-        definition.signals[1].split(".")[0] for definition in definitions(run).values() if len(definition.signals) > 1
-    ]
-    return {part: _title(part) for part in dict.fromkeys(parts)}
+    parts = dict.fromkeys(definition.part for definition in definitions(run).values() if definition.part)
+    return {part: _title(part) for part in parts}
 
 
 def quantities(run: Run) -> list[Quantity]:
-    """What the observers are measured by: metrics of one kind, window, unit and truth are one quantity."""
+    """What the observers are measured by: metrics of one kind, truth, window, setting and unit are one quantity.
+
+    One of which neither more nor less is better is a quantity of its own.
+    """
     known = definitions(run)
     grouped: dict[tuple[Any, ...], dict[str, str]] = {}
     labels: dict[tuple[Any, ...], str] = {}
@@ -113,7 +89,8 @@ def quantities(run: Run) -> list[Quantity]:
         base, _, part = metric.partition(".")
         definition = known.get(metric) or known.get(base)
         observer = observer_of(run, metric)
-        if definition is None or not definition.pairs or not observer:
+        unranked = definition is None or {definition.kind, part} & set(UNRANKED)
+        if definition is None or unranked or not definition.pairs or not observer:
             key: tuple[Any, ...] = (metric,)
             label = metric
         else:
@@ -121,14 +98,15 @@ def quantities(run: Run) -> list[Quantity]:
             key = (
                 definition.kind,
                 truths,
-                definition.after,
-                definition.until,
+                definition.window,
+                definition.settings,
                 part,
                 unit_of(run, metric),
             )
-            label = f"{_readable(definition.kind)} of {', '.join(truths)}" + (
-                f": {part.replace('_', ' ')}" if part else ""
-            )
+            label = f"{_readable(definition.kind)} of {', '.join(truths)}"
+            label += f" ({definition.settings})" if definition.settings else ""
+            label += f": {part.replace('_', ' ')}" if part else ""
+            label += ", magnitude" if (definition.kind, part) in NEAR_ZERO else ""
         if observer in grouped.get(key, {}):
             key, label = (metric,), metric
         grouped.setdefault(key, {})[observer] = metric
@@ -151,8 +129,7 @@ def observer_of(run: Run, metric: str) -> str:
         if {metric, base} & set((entry or {}).get("metrics") or ()):
             return str(name)
     definition = definitions(run).get(base)
-    part = definition.signals[-1].split(".")[0] if definition and len(definition.signals) > 1 else ""
-    return part if part in observers(run) else ""
+    return definition.part if definition and definition.part in observers(run) else ""
 
 
 def unit_of(run: Run, metric: str) -> str:
@@ -170,13 +147,16 @@ def standing(
     higher_is_better: bool,
     cases: Sequence[Case] | None = None,
 ) -> Standing:
-    """Median, p95 and worst of a metric over `cases`, all where None."""
+    """Median, p95 and worst of a metric over `cases`, all where None; of its magnitude where it is to be near zero."""
+    base, _, part = metric.partition(".")
+    definition = definitions(run).get(base)
+    near_zero = definition is not None and (definition.kind, part) in NEAR_ZERO
     sign = -1.0 if higher_is_better else 1.0
     values, failed = [], []
     for case in run.cases if cases is None else cases:
         value = case.metrics[metric].value if metric in case.metrics else math.nan
         if not math.isnan(value):
-            values.append((sign * value, case.label))
+            values.append((abs(value) if near_zero else sign * value, case.label))
         elif not case.complete:
             failed.append((math.inf, case.label))
     ranked = sorted(values + failed, key=lambda pair: pair[0])
@@ -234,50 +214,8 @@ def _higher_is_better(run: Run, metrics: Any) -> bool:
     return False
 
 
-def _signals(value: Any) -> list[str]:
-    if isinstance(value, str):
-        return [value] if re.fullmatch(r"[A-Za-z_]\w*\.\S+", value) else []
-    items = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
-    return [name for item in items for name in _signals(item)]
-
-
-def _pairs(value: Any) -> list[tuple[str, str]]:
-    if isinstance(value, Mapping):
-        return [pair for item in value.values() for pair in _pairs(item)]
-    if not isinstance(value, list):
-        return []
-    if len(value) == 2 and all(isinstance(item, str) for item in value):
-        return [(value[0], value[1])] if len(_signals(value)) == 2 else []
-    return [pair for item in value for pair in _pairs(item)]
-
-
-def _seconds(value: Any, otherwise: float) -> float:
-    if isinstance(value, (int, float)):
-        return float(value)
-    try:
-        number, unit = parse_quantity(str(value))
-        return parse_unit(unit).to_si(number)
-    except UnitError:
-        return otherwise
-
-
-def _measured_on(value: Any) -> str:
-    short = isinstance(value, Mapping) and len(value) == 1
-    return _plain(next(iter(value.values()))) if short else _plain(value)
-
-
-def _plain(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
-    if isinstance(value, list) and len(value) == 1:
-        return _plain(value[0])
-    if isinstance(value, list):
-        return "[" + ", ".join(_plain(item) for item in value) + "]"
-    return "" if value is None else str(value)
-
-
 def _readable(kind: str) -> str:
-    return "RMSE" if kind == "rmse" else kind.replace("_", " ").capitalize()
+    return kind.upper() if kind in ACRONYMS else kind.replace("_", " ").capitalize()
 
 
 def _title(name: str) -> str:

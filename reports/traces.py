@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from fmus.units import UnitError, parse_quantity, parse_unit
+from reports.definitions import definitions
 from reports.folder import Case, Run, RunFolderError
 from reports.signals import Column, Columns, Vector, read_columns, read_fault_signals, same_dimension
-from reports.standing import definitions, observers
+from reports.standing import observers
 
 # Okabe and Ito's colours (the blue lighter), readable on light and dark and by the colour-blind; the truth is grey.
 COLOURS = (
@@ -170,7 +171,7 @@ def _panel(
     lines: Mapping[str, str],
     unit: str,
 ) -> Panel:
-    truths = {definition.signals[0] for definition in definitions(run).values() if len(definition.signals) > 1}
+    truths = {truth for definition in definitions(run).values() for truth, _ in definition.pairs}
     colours = part_colours(run)
     spare = [colour for colour in COLOURS if colour not in colours.values()] or list(COLOURS)
     traces: list[Trace] = []

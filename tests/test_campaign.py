@@ -15,6 +15,7 @@ from fmus.component import ConfigurationError
 from harness.campaign import built_in_campaigns, find_campaign, read_campaign
 from harness.cli import schema_text
 from harness.fingerprint import forget_sources
+from harness.metrics import KINDS
 from harness.places import read_yaml, read_yaml_file
 
 GOOD = """\
@@ -160,7 +161,7 @@ def test_every_problem_is_told_at_once_in_the_order_of_the_file(tmp_path):
       rmse: {rmsee: [plant.y, encoder.value]}
       alone: {rmse: [plant.y]}
       double: {mean: plant.y, bias: [plant.y, encoder.value]}
-      late: {mean: plant.y, after: 3 rad}
+      late: {mean: plant.y, after: 3 rpm}
     accept:
       - late < 1 rpm ; late
       - {figur_6: late < 1}
@@ -178,9 +179,8 @@ def test_every_problem_is_told_at_once_in_the_order_of_the_file(tmp_path):
         "7:51: parts.encoder.noise.std: 'loud' wants a number with a unit, like '1 ms'",
         "9:10: unknown key 'rmsee' in metrics.rmse; did you mean 'rmse'?",
         "10:11: metrics.alone.rmse.pairs[0] wants at least 2 items",
-        "11:11: metrics.double wants one of rmse, max_error, bias, share_within, accuracy, detection, "
-        "convergence_rate, dwell_min, final, minimum, maximum, mean, got bias and mean",
-        "12:9: metrics.late wants s, got 3 rad",
+        f"11:11: metrics.double wants one of {', '.join(KINDS)}, got bias and mean",
+        "12:9: metrics.late: after wants a time or a crank angle, like 0.5 s or 720 deg, got 3.0 rpm",
         "15:6: no experiment is named 'figur_6'",
         "16:5: accept[2] wants 'metric < bound' or {experiment: 'metric < bound'}, got 3",
         "17:16: limits.case wants s, got 3 m",

@@ -151,3 +151,18 @@ def test_a_bound_of_another_dimension_names_both_units():
     assert bound_misfit(parse_criterion("rmse < 1 s", KNOWN), UNITS) == "'rmse < 1 s': rmse is in rad, the bound in s"
     assert bound_misfit(parse_criterion("rmse < 1 mrad", KNOWN), UNITS) == ""
     assert "located.delay_median is in ms" in bound_misfit(parse_criterion("located.delay_median < rmse", KNOWN), UNITS)
+
+
+def test_of_values_that_never_came_a_median_counts_them_as_the_worst():
+    cases = [case(key, rmse=value) for key, value in zip("abc", (1.0, 2.0, math.inf), strict=True)]
+    assert verdict("median(rmse) < 3 rad", *cases).value == 2.0
+    assert verdict("median(rmse) < 3 rad", *cases).passed
+    assert not verdict("p95(rmse) < 3 rad", *cases).passed
+    assert not verdict("mean(rmse) < 3 rad", *cases).passed
+
+
+@pytest.mark.parametrize("comparison", ["<", "<=", ">", ">=", "==", "!="])
+def test_two_values_that_never_came_are_no_match_for_each_other_and_decide(comparison):
+    both = case("b", rmse=math.inf, other=math.inf)
+    found = verdict(f"rmse {comparison} other", case("a", rmse=1.0, other=2000.0), both)
+    assert (found.passed, found.case) == (False, "b")

@@ -147,7 +147,7 @@ def test_provenance_says_what_was_run_and_that_the_tool_is_not_qualified(failed_
         assert expected in text
     assert "torque → plant → encoder → hybrid → open_loop (9 of the cases) No wire is held" in text
     assert "the plant's FMU names no unit for tau 9" in text
-    assert "located detection of [plant.location, hybrid.location] How fast a location is found." in text
+    assert "located detection of [plant.location, hybrid.location] detection 1 How fast a location is found." in text
     assert "not a qualified tool" in text
 
 
@@ -318,3 +318,78 @@ def test_numbers_are_short_and_carry_their_unit():
 def test_the_synthetic_run_has_what_the_contract_asks_for():
     assert set(REPORT) == {"observers", "figures", "published"}
     assert all(metric.split(".")[0] in METRICS for entry in REPORT["observers"].values() for metric in entry["metrics"])
+
+
+def with_metrics(folder: Path, declared, measured) -> Path:
+    """The folder with metrics more: their declarations, and their values (or samples, as lists) in every case."""
+    campaign = json.loads((folder / "campaign.json").read_text())
+    campaign["metrics"] |= declared
+    (folder / "campaign.json").write_text(json.dumps(campaign))
+    for path in folder.glob("cases/*/case.json"):
+        case = json.loads(path.read_text())
+        for name, (value, unit) in measured.items():
+            if isinstance(value, list):
+                case["samples"][name] = value
+                case["metrics"][f"{name}_median"] = {"value": value[0], "unit": unit}
+            else:
+                case["metrics"][name] = {"value": value, "unit": unit}
+        path.write_text(json.dumps(case))
+    return folder
+
+
+def declared(kind, observer, truth="plant.theta_e", **arguments):
+    pair = [truth, f"{observer}.{truth.partition('.')[2]}"]
+    return {kind: {"error": pair, **arguments}, "kind": kind, "version": 1, "compares": [pair]}
+
+
+def test_metrics_that_are_given_different_numbers_are_not_compared(tmp_path):
+    metrics = {
+        "a": declared("nrmse", "hybrid", by="range"),
+        "b": declared("nrmse", "open_loop", by="range"),
+        "c": declared("nrmse", "hybrid", by="2 rad"),
+        "d": declared("nrmse", "open_loop", by="range") | {"after": "720 deg"},
+        "e": declared("nrmse", "hybrid", by="range") | {"after": "1440 deg"},
+    }
+    run = read_run(with_metrics(build_run(tmp_path), metrics, {name: (0.1, "1") for name in metrics}))
+    found = [quantity for quantity in quantities(run) if quantity.label.startswith("NRMSE")]
+    assert [(quantity.label, set(quantity.metrics.values())) for quantity in found] == [
+        ("NRMSE of plant.theta_e (by range)", {"a", "b"}),
+        ("NRMSE of plant.theta_e (by 2 rad)", {"c"}),
+        ("NRMSE of plant.theta_e (by range)", {"d"}),
+        ("NRMSE of plant.theta_e (by range)", {"e"}),
+    ]
+
+
+def test_what_has_a_sign_is_the_better_the_nearer_to_zero_it_is(tmp_path):
+    metrics = {"a": declared("bias", "hybrid"), "b": declared("bias", "open_loop")}
+    run = read_run(with_metrics(build_run(tmp_path), metrics, {"a": (-0.2, "rad"), "b": (0.1, "rad")}))
+    (quantity,) = (quantity for quantity in quantities(run) if quantity.label.startswith("Bias"))
+    assert quantity.label == "Bias of plant.theta_e, magnitude"
+    assert [(row.metric, row.median) for row in leaderboard(run, quantity)] == [("b", 0.1), ("a", 0.2)]
+
+
+def test_what_is_neither_better_for_being_more_nor_less_is_not_ranked(tmp_path):
+    metrics = {"a": declared("nees", "hybrid"), "b": declared("nees", "open_loop")}
+    run = read_run(with_metrics(build_run(tmp_path), metrics, {"a": (2.0, "1"), "b": (3.0, "1")}))
+    assert [quantity.label for quantity in quantities(run) if {"a", "b"} & set(quantity.metrics.values())] == ["a", "b"]
+
+
+def test_delays_of_several_metrics_are_drawn_over_one_axis_in_one_unit(tmp_path, monkeypatch):
+    metrics = {
+        "told": declared("alarm", "hybrid", truth="plant.location"),
+        "told_late": declared("alarm", "open_loop", truth="plant.location"),
+    }
+    folder = build_run(tmp_path, failing=[])
+    with_metrics(folder, metrics, {"told.delay": ([30.0], "ms"), "told_late.delay": ([40.0], "ms")})
+    drawn = {}
+
+    def delays(samples, unit, titles, colours, name):
+        drawn.update(unit=unit, titles=titles, samples={one: values.max() for one, values in samples.items()})
+        return ""
+
+    monkeypatch.setattr("reports.html.figures.delays", delays)
+    write_report(folder)
+    assert drawn["unit"] == "s"
+    assert drawn["samples"] == {"located": math.inf, "told": pytest.approx(0.030), "told_late": pytest.approx(0.040)}
+    # Two of the hybrid observer go by their own names.
+    assert drawn["titles"] == {"located": "located", "told": "told", "told_late": "Open loop"}
