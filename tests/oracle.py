@@ -502,6 +502,14 @@ class ReplayTwin:
         self.k += 1
         return self._values(t + h)
 
+    def keep(self) -> None:
+        """Remember which instant it is at."""
+        self.kept = self.k
+
+    def restore(self) -> None:
+        """Go back there."""
+        self.k = self.kept
+
     def _values(self, t: float) -> list[float]:
         clock = self.clock
         at = t if clock is None else clock.origin + self.k * clock.numerator / clock.denominator

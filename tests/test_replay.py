@@ -244,6 +244,22 @@ def test_one_recorded_cycle_may_be_repeated_over_crank_angle(tmp_path: Path):
     assert np.array_equal(record["cylinder.p"], wanted)
 
 
+def test_a_step_that_a_clock_repeats_to_steer_exactly_is_one_of_a_replay_over_crank_angle(tmp_path: Path):
+    angles = np.arange(0.0, 3601.0, 6.0)
+    (tmp_path / "kept.csv").write_text(
+        "crank [deg],x [1]\n" + "".join(f"{a!r},{float(np.sin(a))!r}\n" for a in angles.tolist())
+    )
+    replay = {"use": "replay", "file": "kept.csv", "crank": "crank", "signals": {"x": "x"}}
+    parts = {"x": replay, "engine": {"use": "crank_parts:ENGINE", "with": {"rate": "90 rad/s2"}}}
+    clock = {"step": "6 deg", "stop": "10 rev", "speed": "engine.omega", "angle": "engine.theta", "steer": "exact"}
+    with system(tmp_path, parts, {"crank": clock}) as wired:
+        record = run(wired)
+        assert np.column_stack([record.time, record.values]).tobytes() == run_plainly(wired).tobytes()
+    assert record.outcome == "ok" and np.array_equal(record["x.x"], np.sin(angles))
+    # Steered exactly: the engine is at the clock's angle, to a billionth of a turn.
+    np.testing.assert_allclose(record["engine.theta"], np.radians(angles), rtol=0, atol=1e-8)
+
+
 def test_what_ends_before_the_run_on_a_crank_clock_ends_it_with_an_error_that_says_what_there_is(tmp_path: Path):
     file = kept(tmp_path, np.array([0.0, 0.1]), omega=("rad/s", "real", np.array([SPEED, SPEED])))
     parts = {"engine": {"use": "replay", "file": file, "signals": {"omega": "omega"}}}
