@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from fmus.component import Component
+from fmus.component import Component, Signal
 from harness.findings import Findings
 from harness.scenario import WireSpec
 
@@ -43,6 +43,11 @@ def spread(
             one = f"{text}[{index}]" if offered == wanted else ""
             wires[f"{name}[{index}]"] = spec.model_copy(update={"source": one})
     return wires
+
+
+def endings(name: str, signals: Sequence[Signal]) -> list[str]:
+    """What the scalars of an array among the signals add to its name, like `[1,2]`; of a scalar, or an unknown: ''."""
+    return [f"[{index}]" for index in _arrays([signal.name for signal in signals]).get(name, ())] or [""]
 
 
 def off_bus(name: str, component: Component) -> str:

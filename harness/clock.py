@@ -122,7 +122,8 @@ def degrees(measure: Measure, found: Findings) -> float:
     return measure.value * 360.0 if measure.unit == "rev" else math.degrees(radians)
 
 
-def _is_angle(measure: Measure) -> bool:
+def is_angle(measure: Measure) -> bool:
+    """Whether a measure is an angle by its unit."""
     return bool(measure.unit) and parse_unit(measure.unit).same_dimension(parse_unit("deg"))
 
 
@@ -151,7 +152,7 @@ def _crank_grid(clock: CrankClock, found: Findings) -> CrankGrid:
             found.at("step").add(f"wants to divide the cycle of {cycle:g} deg, got {clock.step}; near are {near}")
     stop, most = math.inf, MOST_STEPS
     given = clock.step or f"a cycle in {clock.per_cycle} steps"
-    if _is_angle(clock.stop):
+    if is_angle(clock.stop):
         last = degrees(clock.stop, found.at("stop"))
         if not last > origin:
             found.at("stop").add(f"wants an angle after the origin, {clock.origin}, got {clock.stop}")
@@ -200,7 +201,7 @@ def read_pace(every: Measure | None, at: At, grid: Grid, found: Findings) -> Pac
         return Pace(due=_due(at, grid, found.at("at")))
     if every is None:
         return Pace()
-    if _is_angle(every):
+    if is_angle(every):
         period = _whole(degrees(every, found.at("every")) / grid.degrees)
         if period is None:
             step = f"{grid.degrees:.9g} deg"

@@ -19,7 +19,9 @@ _FILES = (
     "coupling.c",
     "loop.c",
     "crank.c",
+    "fault.c",
     "sensor.c",
+    "swap.c",
     "points.c",
     "source.c",
     "replay.c",
@@ -59,11 +61,15 @@ def address(array: NDArray[np.float64] | NDArray[np.int64] | None) -> int | None
 
 
 def call(
-    function: str, state: ctypes.Structure, *times: float, u: Sequence[float] | NDArray[np.float64] = ()
-) -> tuple[int, float]:
-    """Status and the one output of a step or start function of the library, called from Python."""
+    function: str,
+    state: ctypes.Structure,
+    *times: float,
+    u: Sequence[float] | NDArray[np.float64] = (),
+    outputs: int = 1,
+) -> tuple[int, NDArray[np.float64]]:
+    """Status and the outputs, shape (outputs,), of a step or start function of the library, called from Python."""
     inputs = (ctypes.c_double * max(len(u), 1))(*u)
-    output = ctypes.c_double()
+    given = np.zeros(outputs)
     arguments = [ctypes.c_double(time) for time in times]
-    status = getattr(library(), function)(ctypes.byref(state), *arguments, inputs, ctypes.byref(output))
-    return status, output.value
+    status = getattr(library(), function)(ctypes.byref(state), *arguments, inputs, ctypes.c_void_p(given.ctypes.data))
+    return status, given

@@ -79,8 +79,13 @@ class Noise(Strict):
     std: Quantity
 
 
+FAULTS = ("bias", "gain", "drift", "stuck", "drop_out", "noise", "delay")
+FROM_MEANS = "when it begins: a time, or on a crank clock a crank angle"
+TO_MEANS = "when it has ended, in the same way; it stays where absent"
+
+
 class Fault(Strict):
-    """One fault, active for from <= t < to: exactly one of bias, gain, drift, stuck, drop_out, noise."""
+    """One fault, active for from <= t < to: exactly one of bias, gain, drift, stuck, drop_out, noise, delay."""
 
     bias: Quantity | None = Field(None, description="added to the reading")
     gain: float | None = Field(None, description="multiplies the reading")
@@ -90,16 +95,22 @@ class Fault(Strict):
     stuck: Literal[True] | None = Field(None, description="holds the last reading before the fault")
     drop_out: float | None = Field(None, description="probability that a sample is lost and the last is held")
     noise: Quantity | None = Field(None, description="standard deviation added in quadrature")
-    start: Quantity = Field(alias="from")
-    until: Quantity | None = Field(None, alias="to")
+    delay: Quantity | None = Field(None, description="the signal arrives late by this; until it does, the last is held")
+    start: Quantity = Field(alias="from", description=FROM_MEANS)
+    until: Quantity | None = Field(None, alias="to", description=TO_MEANS)
+    code: int | None = Field(None, ge=1, description="what the fault signal shows; its place in the list where absent")
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Fault:
-        kinds = ("bias", "gain", "drift", "stuck", "drop_out", "noise")
-        given = [name for name in kinds if getattr(self, name) is not None]
+        given = [name for name in FAULTS if getattr(self, name) is not None]
         if len(given) != 1:
-            raise ValueError(f"a fault wants one of {', '.join(kinds)}, got {given or 'none'}")
+            raise ValueError(f"a fault wants one of {', '.join(FAULTS)}, got {given or 'none'}")
         return self
+
+    @property
+    def kind(self) -> str:
+        """Which of FAULTS it is."""
+        return next(kind for kind in FAULTS if getattr(self, kind) is not None)
 
 
 AT_MEANS = "crank events to be stepped at: tdc (each firing top dead centre), cycle, or angles within the cycle"
@@ -108,6 +119,8 @@ At = Literal["tdc", "cycle"] | list[Quantity] | None
 
 class SensorPart(Strict):
     """Measures one signal. Its output is named `value`; with nothing but `of` it is the identity sensor.
+
+    With faults it has a second output `fault`: the code of the fault that acts, 0 where none does.
 
     Applied in this order: lag, delay, gain, bias, faults, noise, drop-out, quantisation, limits.
     """
@@ -145,6 +158,7 @@ class WireSpec(Strict):
 
     source: str = Field(alias="from", description="part or part.output")
     delay: Literal[0, 1] = Field(0, description="1: always the value of the instant before")
+    faults: list[Fault] = Field([], description="what is wrong on the way; a part named PART__INPUT stands there then")
 
 
 def read_wire(raw: Any) -> Any:
@@ -160,19 +174,34 @@ WiredFrom = Annotated[
 ]
 
 
+class SwapPart(Strict):
+    """Two signals that change places: what reads either of them reads the other for from <= t < to.
+
+    Its outputs `first` and `second` are what the readers of the first and of the second signal are given, `fault` is
+    `code` while they are swapped, 0 else.
+    """
+
+    use: Literal["swap"]
+    between: tuple[str, str] = Field(description="the two signals, as part or part.output")
+    start: Quantity = Field(alias="from", description=FROM_MEANS)
+    until: Quantity | None = Field(None, alias="to", description=TO_MEANS)
+    code: int = Field(1, ge=1, description="what the fault signal shows")
+
+
 class ModelPart(Strict):
     """A plant, observer or controller: an FMU, or a module that holds a MODEL or a `make`."""
 
     use: str = Field(
         description="a module like observers.hybrid, or the path of an .fmu from the campaign file",
-        json_schema_extra={"not": {"enum": ["source", "sensor", "crank"]}},
+        json_schema_extra={"not": {"enum": ["source", "sensor", "crank", "swap", "replay"]}},
     )
     parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
     settings: dict[str, Any] = Field(
         default_factory=dict, alias="with", description="parameters and start values by name"
     )
     wires: dict[str, WiredFrom] = Field(
-        default_factory=dict, description="input: part or part.output, or {from: part.output, delay: 1}"
+        default_factory=dict,
+        description="input: part or part.output, or {from: part.output, delay: 1, faults: [...]}",
     )
     every: Quantity | None = Field(
         None,
@@ -191,11 +220,13 @@ class ModelPart(Strict):
 
 
 # The tags of the kinds of part, in the words that error messages use.
-SOURCE, SENSOR, CRANK, REPLAY, MODEL = "<a source>", "<a sensor>", "<a crank>", "<a replay>", "<a model>"
+SOURCE, SENSOR, CRANK, SWAP = "<a source>", "<a sensor>", "<a crank>", "<a swap>"
+REPLAY, MODEL = "<a replay>", "<a model>"
 PART_KINDS: dict[str, type[Strict]] = {
     SOURCE: SourcePart,
     SENSOR: SensorPart,
     CRANK: CrankPart,
+    SWAP: SwapPart,
     REPLAY: ReplayPart,
     MODEL: ModelPart,
 }
@@ -210,13 +241,15 @@ def part_kind(raw: Any) -> str:
     if not isinstance(raw, dict):
         return MODEL
     use = raw.get("use")
-    words = {"source": SOURCE, "sensor": SENSOR, "crank": CRANK, "replay": REPLAY}
+    words = {"source": SOURCE, "sensor": SENSOR, "crank": CRANK, "swap": SWAP, "replay": REPLAY}
     if isinstance(use, str):
         plain = "." not in use and ":" not in use
         nearest = difflib.get_close_matches(use, words, n=1, cutoff=0.7) if plain else []
         return words[nearest[0]] if nearest else MODEL
     if "of" in raw:
         return SENSOR
+    if "between" in raw:
+        return SWAP
     if "signals" in raw:
         return REPLAY
     return SOURCE if set(SHAPES) & raw.keys() else MODEL
@@ -226,6 +259,7 @@ Part = Annotated[
     Annotated[SourcePart, Tag(SOURCE)]
     | Annotated[SensorPart, Tag(SENSOR)]
     | Annotated[CrankPart, Tag(CRANK)]
+    | Annotated[SwapPart, Tag(SWAP)]
     | Annotated[ReplayPart, Tag(REPLAY)]
     | Annotated[ModelPart, Tag(MODEL)],
     Discriminator(part_kind),

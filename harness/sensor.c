@@ -1,30 +1,24 @@
 /* A sensor: lag, delay, gain, bias, faults, noise, drop-out, quantisation, limits, in this order. */
-#include <math.h>
-#include <stdint.h>
 
 /* So many samples may follow a kept state; the ring of a delay has places to spare for them. */
 enum { REVERSIBLE = 64 };
 
-enum { BIAS = 0, GAIN = 1, DRIFT = 2, STUCK = 3, DROP_OUT = 4, NOISE = 5 };
-
-typedef struct {
-    int64_t kind;
-    double value, from, until; /* active for from <= t < until */
-} Fault;
+enum { BIAS = 0, GAIN = 1, DRIFT = 2, STUCK = 3, DROP_OUT = 4, NOISE = 5, LATE = 6 };
 
 typedef struct {
     /* x_k = decay x_{k-1} + older u_{k-1} + newer u_k; newer = 1, the others 0, without a lag */
     int64_t lags;
     double decay, older, newer;
-    /* a delay of (whole + fraction) samples; `line` is a ring of whole + 2 + REVERSIBLE samples,
+    /* a delay of so many samples; `line` is a ring of the samples that it and the faults' delays reach, and REVERSIBLE;
      * without a delay of none */
-    int64_t length, whole;
-    double fraction;
+    double delay;
+    int64_t length;
     double *line;
     double gain, bias, noise, drop_out, resolution, lowest, highest;
     double edge; /* times nearer than this are one */
+    int64_t early; /* faults are timed by the beginning of a step, as what a source gives is */
     int64_t plain; /* nothing but gain, bias and limits */
-    const Fault *faults;
+    Fault *faults;
     int64_t fault_count;
     /* one number a sample of each stream that is needed, NULL where it is not, drawn in blocks of `drawn`; `used` is
      * below 0 while some of the block before are left, which then lie in the REVERSIBLE places in front */
@@ -32,11 +26,11 @@ typedef struct {
     int64_t drawn, used;
     void (*draw_normals)(void);
     void (*draw_uniforms)(void);
-    /* state */
-    int64_t next;
+    /* state, beside that of the faults; `code` is that of the fault that acts */
+    int64_t next, sample, code;
     double lagged, input, reading;
     /* the state kept, and how many samples were taken since; more than REVERSIBLE where none is kept */
-    int64_t since, kept_used, kept_next;
+    int64_t since, kept_used, kept_next, kept_sample, kept_code;
     double kept_lagged, kept_input, kept_reading;
 } Sensor;
 
@@ -54,7 +48,25 @@ static inline double limited(const Sensor *s, double v)
     return v < s->lowest ? s->lowest : v > s->highest ? s->highest : v;
 }
 
-static int sensor_measure(Sensor *s, double t, double u, int first)
+/* The signal `delay` samples and the delays of the faults ago, linear between samples. A fault's delay holds what was
+ * there when it began until what is late arrives: it grows by a sample a sample up to its value. */
+static double delayed(Sensor *s, double v)
+{
+    double delay = s->delay;
+    for (int64_t i = 0; i < s->fault_count; i++) {
+        const Fault *fault = &s->faults[i];
+        if (fault->kind == LATE && fault->acted) delay += fmin(fault->value, (double)fault->acted);
+    }
+    const double whole = floor(delay + 1e-9), fraction = delay - whole;
+    s->line[s->next] = v;
+    const int64_t now = s->next - (int64_t)whole, before = now - 1;
+    const double late = s->line[now < 0 ? now + s->length : now];
+    const double later = s->line[before < 0 ? before + s->length : before];
+    s->next = s->next + 1 == s->length ? 0 : s->next + 1;
+    return fraction < 1e-9 ? late : late + fraction * (later - late);
+}
+
+static int sensor_measure(Sensor *s, double t, int64_t sample, double u, int first)
 {
     double normal = 0.0, uniform = 1.0;
     if (s->used == s->drawn) {
@@ -72,28 +84,23 @@ static int sensor_measure(Sensor *s, double t, double u, int first)
         s->input = u;
         v = s->lagged;
     }
-    if (s->length) {
-        s->line[s->next] = v;
-        const int64_t now = s->next - s->whole, before = now - 1;
-        const double late = s->line[now < 0 ? now + s->length : now];
-        const double later = s->line[before < 0 ? before + s->length : before];
-        v = s->fraction == 0.0 ? late : late + s->fraction * (later - late);
-        s->next = s->next + 1 == s->length ? 0 : s->next + 1;
-    }
+    s->code = faults_at(s->faults, s->fault_count, t, s->edge, sample);
+    if (s->length) v = delayed(s, v);
     v = v * s->gain + s->bias;
 
     double variance = s->noise * s->noise, kept = 1.0 - s->drop_out;
     int stuck = 0;
     for (int64_t i = 0; i < s->fault_count; i++) {
         const Fault *fault = &s->faults[i];
-        if (t < fault->from - s->edge || t >= fault->until - s->edge) continue;
+        if (!fault->acted) continue;
         switch (fault->kind) {
         case BIAS: v += fault->value; break;
         case GAIN: v *= fault->value; break;
-        case DRIFT: v += fault->value * (t - fault->from); break;
+        case DRIFT: v += fault->value * (t - fault->begin); break;
         case STUCK: stuck = 1; break;
         case DROP_OUT: kept *= 1.0 - fault->value; break;
-        default: variance += fault->value * fault->value; break;
+        case NOISE: variance += fault->value * fault->value; break;
+        default: break;
         }
     }
     if (!first && (stuck || uniform < 1.0 - kept)) return OK;
@@ -104,17 +111,25 @@ static int sensor_measure(Sensor *s, double t, double u, int first)
     return OK;
 }
 
+/* The reading, and where there are faults the code of the one that acts. */
+static void sensor_tell(const Sensor *s, double *y)
+{
+    y[0] = s->reading;
+    if (s->fault_count) y[1] = (double)s->code;
+}
+
 /* The initialised reading at t0: the signal is taken to have been u[0] for ever, and the first sample is never lost. */
 EXPORT int crankbench_sensor_start(void *self, double t0, const double *u, double *y)
 {
     Sensor *s = (Sensor *)self;
     s->lagged = s->input = u[0];
     for (int64_t i = 0; i < s->length; i++) s->line[i] = u[0];
-    s->next = 0;
+    for (int64_t i = 0; i < s->fault_count; i++) s->faults[i].acted = 0;
+    s->next = s->sample = 0;
     s->since = REVERSIBLE;
     s->plain = !s->lags && !s->length && !s->fault_count && !s->normals && !s->uniforms && s->resolution == 0.0;
-    const int status = sensor_measure(s, t0, u[0], 1);
-    y[0] = s->reading;
+    const int status = sensor_measure(s, t0, 0, u[0], 1);
+    sensor_tell(s, y);
     return status;
 }
 
@@ -126,8 +141,10 @@ EXPORT int crankbench_sensor_step(void *self, double t, double h, const double *
         y[0] = limited(s, u[0] * s->gain + s->bias);
         return OK;
     }
-    const int status = sensor_measure(s, t + h, u[0], 0);
-    y[0] = s->reading;
+    s->sample++;
+    const int status = s->early ? sensor_measure(s, t, s->sample - 1, u[0], 0)
+                                : sensor_measure(s, t + h, s->sample, u[0], 0);
+    sensor_tell(s, y);
     return status;
 }
 
@@ -153,6 +170,9 @@ EXPORT int crankbench_sensor_keep(void *self)
     s->since = 0;
     s->kept_used = s->used;
     s->kept_next = s->next;
+    s->kept_sample = s->sample;
+    s->kept_code = s->code;
+    keep_faults(s->faults, s->fault_count);
     s->kept_lagged = s->lagged;
     s->kept_input = s->input;
     s->kept_reading = s->reading;
@@ -167,6 +187,9 @@ EXPORT int crankbench_sensor_restore(void *self)
     s->since = 0;
     s->used = s->kept_used;
     s->next = s->kept_next;
+    s->sample = s->kept_sample;
+    s->code = s->kept_code;
+    restore_faults(s->faults, s->fault_count);
     s->lagged = s->kept_lagged;
     s->input = s->kept_input;
     s->reading = s->kept_reading;

@@ -9,7 +9,9 @@ is the first-order lag, exact for a signal that is linear between samples; a del
 (1 - f) x_{k-m} + f x_{k-m-1}, and before the first sample the signal is taken to have been u_0. Then come gain, bias,
 the faults in the order they are listed, noise, drop-out, quantisation and limits. A lost sample and a stuck sensor
 repeat the last reading as it was; the first sample is neither. Faults of noise add in quadrature, faults of drop-out
-as independent losses.
+as independent losses. A fault of delay D that acts on its n-th sample in a row adds min(D, n) samples to the delay:
+the signal stands as it was last read until what is late arrives, and when the fault ends, what was under way is lost.
+When a fault acts says faults.py.
 """
 
 from __future__ import annotations
@@ -24,15 +26,27 @@ from typing import NamedTuple
 import numpy as np
 
 from fmus.component import OK, Native, Reversal, Role, Signal, StepError, Vector
+from harness.faults import (
+    MOST_DELAYED_SAMPLES,
+    ActingFault,
+    CFault,
+    Sampling,
+    Timed,
+    c_faults,
+    edge,
+    fault_signal,
+    latest,
+    read_faults,
+)
 from harness.findings import Findings
 from harness.native import address, call, native_reversal, native_step
-from harness.scenario import Fault, SensorPart
+from harness.scenario import SensorPart
 
 BLOCK = 4096
 # Samples that may follow a kept state, as in sensor.c.
 REVERSIBLE = 64
-FAULTS = ("bias", "gain", "drift", "stuck", "drop_out", "noise")
-MOST_DELAYED_SAMPLES = 10_000_000
+# Faults after which a reading is still a value that the signal had.
+REPEATING = ("stuck", "drop_out", "delay")
 
 
 def stream(seed: int, part: str, purpose: str) -> np.random.Generator:
@@ -40,15 +54,6 @@ def stream(seed: int, part: str, purpose: str) -> np.random.Generator:
     names = [hashlib.sha256(name.encode()).digest() for name in (part, purpose)]
     words = [int.from_bytes(digest[i : i + 4], "little") for digest in names for i in range(0, 32, 4)]
     return np.random.Generator(np.random.Philox(np.random.SeedSequence([seed, *words])))
-
-
-class FaultWindow(NamedTuple):
-    """A fault of one kind, one of FAULTS, in SI, active for start <= t < until [s]."""
-
-    kind: str
-    value: float
-    start: float
-    until: float
 
 
 class Errors(NamedTuple):
@@ -63,7 +68,7 @@ class Errors(NamedTuple):
     resolution: float = 0.0
     lowest: float = -math.inf
     highest: float = math.inf
-    faults: tuple[FaultWindow, ...] = ()
+    faults: tuple[ActingFault, ...] = ()
 
     @property
     def normals(self) -> bool:
@@ -74,6 +79,15 @@ class Errors(NamedTuple):
     def uniforms(self) -> bool:
         """Whether it takes a uniform number a sample."""
         return self.drop_out > 0.0 or any(fault.kind == "drop_out" for fault in self.faults)
+
+    def repeat(self, period: float) -> bool:
+        """Whether every reading, one a `period` [s], is a value that the signal had at some sample."""
+        late = [split_delay(self.delay, period), *(split_delay(f.value, 1.0) for f in self.faults if f.kind == "delay")]
+        return (
+            self._replace(delay=0.0, drop_out=0.0, faults=()) == Errors()
+            and all(fraction == 0.0 for _, fraction in late)
+            and all(fault.kind in REPEATING for fault in self.faults)
+        )
 
 
 def split_delay(delay: float, period: float) -> tuple[int, float]:
@@ -94,13 +108,6 @@ def lag_weights(lag: float, period: float) -> tuple[float, float, float]:
     return decay, mean - decay, 1.0 - mean
 
 
-class _Fault(ctypes.Structure):
-    _fields_ = [
-        ("kind", ctypes.c_int64),
-        *((name, ctypes.c_double) for name in ("value", "start", "until")),
-    ]
-
-
 _Draw = ctypes.CFUNCTYPE(None)
 
 
@@ -108,22 +115,22 @@ class _Sensor(ctypes.Structure):
     _fields_ = [
         ("lags", ctypes.c_int64),
         *((name, ctypes.c_double) for name in ("decay", "older", "newer")),
-        *((name, ctypes.c_int64) for name in ("length", "whole")),
-        ("fraction", ctypes.c_double),
+        ("delay", ctypes.c_double),
+        ("length", ctypes.c_int64),
         ("line", ctypes.c_void_p),
         *(
             (name, ctypes.c_double)
             for name in ("gain", "bias", "noise", "drop_out", "resolution", "lowest", "highest", "edge")
         ),
-        ("plain", ctypes.c_int64),
-        ("faults", ctypes.POINTER(_Fault)),
+        *((name, ctypes.c_int64) for name in ("early", "plain")),
+        ("faults", ctypes.POINTER(CFault)),
         ("fault_count", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in ("normals", "uniforms")),
         *((name, ctypes.c_int64) for name in ("drawn", "used")),
         *((name, _Draw) for name in ("draw_normals", "draw_uniforms")),
-        ("next", ctypes.c_int64),
+        *((name, ctypes.c_int64) for name in ("next", "sample", "code")),
         *((name, ctypes.c_double) for name in ("lagged", "input", "reading")),
-        *((name, ctypes.c_int64) for name in ("since", "kept_used", "kept_next")),
+        *((name, ctypes.c_int64) for name in ("since", "kept_used", "kept_next", "kept_sample", "kept_code")),
         *((name, ctypes.c_double) for name in ("kept_lagged", "kept_input", "kept_reading")),
     ]
 
@@ -131,34 +138,46 @@ class _Sensor(ctypes.Structure):
 class SensorComponent:
     """A sensor of one signal, sampled every `period` [s], with the random streams of (seed, part).
 
-    Its input is named `of`, its output `value`. The output depends directly on the input unless it is delayed by a
-    sample or more.
+    Its input is named `of`, its outputs `value` and, where it has faults, `fault`: the code of the one that acts. The
+    value depends directly on the input unless it is delayed by a sample or more. `timed` is the instant of a step that
+    a reading belongs to. A period of 0 is none that stays the same; then there is no lag and no delay.
     """
 
-    role: Role = "sensor"
+    tells_faults = True
 
-    def __init__(self, measured: Signal, errors: Errors, period: float, *, seed: int = 0, part: str = "sensor") -> None:
+    def __init__(
+        self,
+        measured: Signal,
+        errors: Errors,
+        period: float,
+        *,
+        seed: int = 0,
+        part: str = "sensor",
+        role: Role = "sensor",
+        timed: Timed = "end",
+    ) -> None:
         self.errors, self.period, self.seed, self.part = errors, period, seed, part
-        kind = measured.kind if errors == Errors() else "real"
+        self.role, self.timed = role, timed
+        kind = measured.kind if errors.repeat(period) else "real"
         signal = Signal("value", measured.unit, measured.start, measured.description, measured.nominal, kind=kind)
         self.inputs: Sequence[Signal] = (Signal("of", measured.unit, measured.start, kind=measured.kind),)
-        self.outputs: Sequence[Signal] = (signal,)
+        told = [fault_signal([(fault.code, fault.meaning) for fault in errors.faults])] if errors.faults else []
+        self.outputs: Sequence[Signal] = (signal, *told)
         self._state: _Sensor | None = None
-        self._whole, self._fraction = split_delay(errors.delay, period)
-        self.feedthrough = frozenset({("value", "of")} if self._whole == 0 else ())
+        self.feedthrough = frozenset({("value", "of")} if split_delay(errors.delay, period)[0] == 0 else ())
 
     def start(self, t0: float, u: Vector) -> Vector:
-        """The reading at t0 [s] of the signal u, shape (1,)."""
+        """The reading at t0 [s] of the signal u, and the fault that acts, shape (outputs,)."""
         errors = self.errors
         decay, older, newer = lag_weights(errors.lag, self.period) if errors.lag else (0.0, 0.0, 1.0)
-        length = self._whole + 2 + REVERSIBLE if errors.delay else 0
+        delay = errors.delay / self.period if errors.delay else 0.0
+        reach = delay + latest(errors.faults)
+        length = split_delay(reach, 1.0)[0] + 2 + REVERSIBLE if reach else 0
         self._line = np.zeros(max(length, 1))
         self._normals = np.zeros(REVERSIBLE + BLOCK)[REVERSIBLE:] if errors.normals else None
         self._uniforms = np.zeros(REVERSIBLE + BLOCK)[REVERSIBLE:] if errors.uniforms else None
         noise, losses = (stream(self.seed, self.part, purpose) for purpose in ("noise", "drop_out"))
-        self._faults = (_Fault * max(len(errors.faults), 1))(
-            *(_Fault(FAULTS.index(fault.kind), *fault[1:]) for fault in errors.faults)
-        )
+        self._faults = c_faults(errors.faults)
         # Called from C, NumPy's own functions run no line of Python, at which a signal could break in.
         self._draws = (
             _Draw(partial(noise.standard_normal, out=self._normals)),
@@ -169,9 +188,8 @@ class SensorComponent:
             decay=decay,
             older=older,
             newer=newer,
+            delay=delay,
             length=length,
-            whole=self._whole,
-            fraction=self._fraction,
             line=address(self._line),
             gain=errors.gain,
             bias=errors.bias,
@@ -180,7 +198,8 @@ class SensorComponent:
             resolution=errors.resolution,
             lowest=errors.lowest,
             highest=errors.highest,
-            edge=1e-6 * self.period,
+            edge=edge(self.period),
+            early=self.timed == "begin",
             faults=self._faults,
             fault_count=len(errors.faults),
             normals=address(self._normals),
@@ -193,7 +212,7 @@ class SensorComponent:
         return self._reading("crankbench_sensor_start", t0, u=u)
 
     def step(self, t: float, h: float, u: Vector) -> Vector:
-        """The reading at t + h [s] of the signal that is u there, shape (1,)."""
+        """The reading at t + h [s] of the signal that is u there, and the fault that acts, shape (outputs,)."""
         return self._reading("crankbench_sensor_step", t, h, u=u)
 
     def native(self) -> Native:
@@ -214,17 +233,17 @@ class SensorComponent:
         return self._state
 
     def _reading(self, function: str, *times: float, u: Vector) -> Vector:
-        status, reading = call(function, self._started(), *times, u=u)
+        status, outputs = call(function, self._started(), *times, u=u, outputs=len(self.outputs))
         if status != OK:
             raise StepError("the sensor has no random numbers", part=self.part, time=times[0], status=status)
-        return np.array([reading])
+        return outputs
 
 
 def build_sensor(
-    spec: SensorPart, measured: Signal, period: float, seed: int, part: str, found: Findings
+    spec: SensorPart, measured: Signal, sampling: Sampling, seed: int, part: str, found: Findings
 ) -> SensorComponent:
-    """The sensor a scenario describes, sampled every `period` [s]; what is wrong with it goes to `found`."""
-    unit = measured.unit
+    """The sensor a scenario describes; what is wrong with it goes to `found`."""
+    unit, period = measured.unit, sampling.pace.step
     lag = found.at("lag").value(spec.lag, "s") if spec.lag else 0.0
     delay = found.at("delay").value(spec.delay, "s") if spec.delay else 0.0
     noise = found.at("noise", "std").difference(spec.noise.std, unit) if spec.noise else 0.0
@@ -242,7 +261,6 @@ def build_sensor(
         lowest, highest = (found.at("limits").value(limit, unit) for limit in spec.limits)
         if lowest > highest:
             found.at("limits").add(f"wants the lower limit first, got {spec.limits[0]} and {spec.limits[1]}")
-    faults = tuple(_fault_window(fault, unit, found.at("faults", index)) for index, fault in enumerate(spec.faults))
     errors = Errors(
         lag=max(lag, 0.0),
         delay=max(delay, 0.0),
@@ -253,22 +271,6 @@ def build_sensor(
         resolution=resolution,
         lowest=lowest,
         highest=highest,
-        faults=faults,
+        faults=read_faults(spec.faults, unit, sampling, found.at("faults")),
     )
     return SensorComponent(measured, errors, period, seed=seed, part=part)
-
-
-def _fault_window(fault: Fault, unit: str, found: Findings) -> FaultWindow:
-    kind = next(kind for kind in FAULTS if getattr(fault, kind) is not None)
-    given = getattr(fault, kind)
-    start = found.at("from").value(fault.start, "s")
-    until = found.at("to").value(fault.until, "s") if fault.until else math.inf
-    if until <= start:
-        found.at("to").add(f"wants a time after {fault.start}, got {fault.until}")
-    measured = kind in ("bias", "drift", "noise")
-    value = found.at(kind).difference(given, unit) if measured else float(given)
-    if kind == "noise" and value < 0.0:
-        found.at(kind).add(f"wants 0 or more, got {given}")
-    if kind == "drop_out" and not 0.0 <= value <= 1.0:
-        found.at(kind).add(f"wants a probability between 0 and 1, got {given:g}")
-    return FaultWindow(kind, value, start, until)

@@ -17,6 +17,7 @@ import numpy as np
 from fmus.component import OK, Native, Reversal, Role, Signal, StepError, Vector
 from fmus.units import parse_unit
 from harness.cycles import read_cycle
+from harness.faults import Timed
 from harness.findings import Findings
 from harness.native import call, native_reversal, native_step
 from harness.points import Horizon, Points, PointsState, check_reach, point
@@ -59,6 +60,7 @@ class SourceComponent:
     """A source of points in time or a wave. The output is named `value`."""
 
     role: Role = "source"
+    timed: Timed = "begin"
     inputs: Sequence[Signal] = ()
     feedthrough: frozenset[tuple[str, str]] = frozenset()
 
@@ -83,7 +85,7 @@ class SourceComponent:
         status, value = call("crankbench_source_step", self._started(), t, h)
         if status != OK:
             raise self.failure(status, t)
-        return np.array([value])
+        return value
 
     def native(self) -> Native:
         """The step in C."""

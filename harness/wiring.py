@@ -13,17 +13,20 @@ from harness.arrays import off_bus, spread
 from harness.assembly import Built, assemble, find_output, output
 from harness.clock import CrankGrid, Grid, Pace, read_clock, read_pace
 from harness.crank import build_crank
+from harness.faults import Sampling, tells_faults
 from harness.findings import Findings
 from harness.native import library
+from harness.onwire import Given, OnWire, build_on_wire, check_smaller_steps, check_swaps, faulty_wires, reads, rewired
 from harness.order import Wire
 from harness.places import Places
 from harness.points import horizon
 from harness.replay import build_replay
 from harness.resolve import resolve
-from harness.scenario import CrankPart, ModelPart, Part, Scenario, SensorPart, WireSpec
+from harness.scenario import CrankPart, ModelPart, Part, Scenario, SensorPart, SwapPart, WireSpec
 from harness.sensor import build_sensor
 from harness.source import build_source
 from harness.sourcepart import ReplayPart, SourcePart
+from harness.swap import build_swap
 from harness.system import System
 
 _NAME = re.compile(r"[A-Za-z_]\w*$")
@@ -43,10 +46,14 @@ def wire(scenario: Scenario, places: Places = NOWHERE) -> System:
     library()
     built: dict[str, Built | None] = {}
     try:
-        _build(scenario, grid, built, found)
+        on_wires = _build(scenario, grid, built, found)
         wires = _wires(scenario, built, found)
         _check_wires(wires, built, scenario, found)
-        system = assemble(scenario, grid, built, wires, found)
+        swaps = [name for name, spec in scenario.parts.items() if isinstance(spec, SwapPart)]
+        check_swaps(wires, on_wires, swaps, _components(built), found)
+        if scenario.coupling.error is not None:
+            check_smaller_steps(wires, on_wires, swaps, _components(built), found)
+        system = assemble(scenario, grid, built, rewired(wires, on_wires, swaps), found)
     except BaseException:
         _close(built)
         raise
@@ -62,8 +69,15 @@ def _close(built: Mapping[str, Built | None]) -> None:
             part.component.close()
 
 
-def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found: Findings) -> None:
-    """Fills `built` with every part as declared; None for those that have problems."""
+def _components(built: Mapping[str, Built | None]) -> dict[str, Component]:
+    return {name: part.component for name, part in built.items() if part is not None}
+
+
+def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found: Findings) -> Mapping[str, OnWire]:
+    """Fills `built` with every part, None where it has problems; those on wires stand before the part they lead to.
+
+    So what an order leaves open is decided as if a wire had nothing on it. Returns the parts on wires.
+    """
     for name in scenario.parts:
         built[name] = None
         if not _NAME.match(name):
@@ -83,58 +97,89 @@ def _build(scenario: Scenario, grid: Grid, built: dict[str, Built | None], found
         elif isinstance(spec, ReplayPart):
             replay = build_replay(spec, grid, here)
             built[name] = None if replay is None else Built(replay, Pace(), {})
-    waiting = {name: spec for name, spec in scenario.parts.items() if isinstance(spec, SensorPart | CrankPart)}
+    on_wires = faulty_wires(scenario.parts, _components(built), found)
+    so_far = dict(built)
+    built.clear()
+    for name, part in so_far.items():
+        built |= {standing: None for standing, one in on_wires.items() if one.part == name}
+        built[name] = part
+    waiting = {name: reads(spec, scenario.clock) for name, spec in scenario.parts.items() if isinstance(spec, _READING)}
+    waiting |= {name: {"of": one.source} for name, one in on_wires.items()}
     while waiting:
-        ready = [name for name, spec in waiting.items() if _measured(spec, scenario).partition(".")[0] not in waiting]
+        heads = {name: {text.partition(".")[0] for text in texts.values()} for name, texts in waiting.items()}
+        ready = [name for name in waiting if not heads[name] & waiting.keys()]
         if not ready:
-            for name, spec in waiting.items():
-                found.at("parts", name, "of").tell(f"{name} measures {spec.of}: these sensors only measure each other")
-            return
+            for name, texts in waiting.items():
+                told = f"{name} measures {' and '.join(texts.values())}: these sensors only measure each other"
+                _where_read(name, on_wires, found).tell(told)
+            break
         for name in ready:
-            _build_measuring(name, waiting.pop(name), scenario, grid, built, found)
+            built[name] = _build_reading(name, waiting.pop(name), scenario, grid, on_wires, built, found)
+    return on_wires
 
 
-def _build_measuring(
+_READING = SensorPart | CrankPart | SwapPart
+
+
+def _where_read(name: str, on_wires: Mapping[str, OnWire], found: Findings) -> Findings:
+    """Where it is written what a sensor, a crank, a swap or a part on a wire reads."""
+    one = on_wires.get(name)
+    return found.at("parts", name) if one is None else found.at("parts", one.part, "wires", one.key)
+
+
+def _build_reading(
     name: str,
-    spec: SensorPart | CrankPart,
+    texts: Mapping[str, str],
     scenario: Scenario,
     grid: Grid,
-    built: dict[str, Built | None],
+    on_wires: Mapping[str, OnWire],
+    built: Mapping[str, Built | None],
     found: Findings,
-) -> None:
-    """Builds a part that reads a signal of another: a sensor, or a crank with an angle to read."""
-    here = found.at("parts", name)
-    of = _measured(spec, scenario)
-    source = find_output(of, built, here.at("of")) if of else None
-    if of and source is None:
-        return
-    measured = None if source is None else output(source, built)
+) -> Built | None:
+    """A sensor, a crank, a swap or a part on a wire, made to the signals it reads; None where there is a problem."""
+    spec, components = scenario.parts.get(name), _components(built)
+    here = _where_read(name, on_wires, found)
+    given: list[Given] = []
+    for input_name, text in texts.items():
+        where = here.at("between") if isinstance(spec, SwapPart) else here.at(input_name)
+        # What is wrong with the source of a faulty wire is told with the wires.
+        source = find_output(text, built, where if spec is not None else Findings(found.places))
+        if source is None:
+            return None
+        given.append(Given(".".join(source), output(source, built), components[source[0]]))
     if isinstance(spec, CrankPart):
-        if measured is None and not isinstance(grid, CrankGrid):
-            here.tell(
-                f"{name} wants `of`, a signal that is the crankshaft's angle: the clock of this campaign is in time"
-            )
-            return
-        if measured is not None and not parse_unit(measured.unit).same_dimension(parse_unit("deg")):
-            here.at("of").add(f"wants an angle, got {measured.unit} from {of}")
-            return
-        built[name] = Built(build_crank(spec, measured, grid, here), Pace(), {})
-        return
-    assert measured is not None, "the schema wants a sensor to measure something"
+        return _build_crank(name, spec, given[0].signal if given else None, grid, here)
+    if isinstance(spec, SensorPart):
+        return _build_sensor(name, spec, given[0].signal, scenario.seed, grid, here)
+    everywhere = read_pace(None, None, grid, here)
+    sampling = Sampling(grid, everywhere)
+    if isinstance(spec, SwapPart):
+        return Built(build_swap(spec, given, sampling, here), everywhere, {})
+    target = components.get(on_wires[name].part)
+    if target is None:
+        return None
+    faults = here.at("faults")
+    return Built(build_on_wire(name, on_wires[name], given[0], target, sampling, scenario.seed, faults), everywhere, {})
+
+
+def _build_crank(name: str, spec: CrankPart, measured: Signal | None, grid: Grid, here: Findings) -> Built | None:
+    if measured is None and not isinstance(grid, CrankGrid):
+        here.tell(f"{name} wants `of`, a signal that is the crankshaft's angle: the clock of this campaign is in time")
+        return None
+    if measured is not None and not parse_unit(measured.unit).same_dimension(parse_unit("deg")):
+        here.at("of").add(f"wants an angle, got {measured.unit} from {spec.of}")
+        return None
+    return Built(build_crank(spec, measured, grid, here), Pace(), {})
+
+
+def _build_sensor(name: str, spec: SensorPart, measured: Signal, seed: int, grid: Grid, here: Findings) -> Built | None:
     pace = read_pace(spec.every, spec.at, grid, here)
     if pace.own:
         here.at("every").add(f"wants a crank angle, since a sensor samples at instants of the clock, got {spec.every}")
-    period = pace.step
     if isinstance(grid, CrankGrid) and (spec.lag or spec.delay):
         here.tell(f"{name} has a lag or a delay, which a sensor on a crank clock cannot have yet")
-        return
-    built[name] = Built(build_sensor(spec, measured, period, scenario.seed, name, here), pace, {})
-
-
-def _measured(spec: SensorPart | CrankPart, scenario: Scenario) -> str:
-    """The signal a part reads; of a crank that names none, the angle that the clock steers to."""
-    clock = scenario.clock.crank
-    return spec.of or (clock.angle if clock is not None else None) or ""
+        return None
+    return Built(build_sensor(spec, measured, Sampling(grid, pace), seed, name, here), pace, {})
 
 
 def _own_pace(component: Component, pace: Pace, grid: Grid, found: Findings) -> Pace:
@@ -199,8 +244,8 @@ def _given(spec: Part, scenario: Scenario) -> Mapping[str, WireSpec]:
     """The wires of a part by input, as declared."""
     if isinstance(spec, ModelPart):
         return spec.wires
-    of = _measured(spec, scenario) if isinstance(spec, SensorPart | CrankPart) else ""
-    return {"of": WireSpec.model_validate({"from": of})} if of else {}
+    read = reads(spec, scenario.clock).items()
+    return {input_name: WireSpec.model_validate({"from": text}) for input_name, text in read}
 
 
 def _jacobi(built: Mapping[str, Built | None], source: str, target: str, scenario: Scenario) -> bool:
@@ -218,6 +263,10 @@ def _check_wires(wires: Sequence[Wire], built: Mapping[str, Built | None], scena
         here = found.at("parts", entry.part, "wires", entry.input)
         given = output((entry.source, entry.output), built)
         wanted = next(signal for signal in target.component.inputs if signal.name == entry.input)
+        if tells_faults(source.component, entry.output):
+            fault = f"{entry.source}.{entry.output}"
+            told = f"{entry.part}.{entry.input} reads {fault}, the truth about faults"
+            here.tell(f"{told}: metrics read it, no part does")
         if not parse_unit(given.unit).same_dimension(parse_unit(wanted.unit)):
             told = f"{entry.part}.{entry.input} wants {_named(wanted)}, got {_named(given)} from {entry.source}"
             here.tell(told + _binding(entry, given, wanted, wires))

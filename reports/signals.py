@@ -17,6 +17,8 @@ from fmus.units import UnitError, parse_unit
 from reports.folder import Case, Run, RunFolderError
 
 Vector = NDArray[np.float64]
+# How the description of a fault signal begins; then come, each after '; ', its codes and what they mean.
+TELLS_FAULTS = "the fault that acts"
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,19 @@ def read_recorded(run: Run, case: Case, names: Collection[str]) -> Columns:
         return Columns(np.empty(0), {})
     with _open(path) as file:
         return _columns(file, [name for name in file.schema_arrow.names if name in names])
+
+
+def read_fault_signals(run: Run, case: Case) -> Columns:
+    """The recorded signals that tell the truth about faults, which their descriptions say; none without a record.
+
+    Raises RunFolderError: the file is damaged.
+    """
+    path = _path(run, case)
+    if not path.is_file():
+        return Columns(np.empty(0), {})
+    with _open(path) as file:
+        told = {field.name: (field.metadata or {}).get(b"description", b"").decode() for field in file.schema_arrow}
+        return _columns(file, [name for name, text in told.items() if text.startswith(TELLS_FAULTS)])
 
 
 def envelope(time: Vector, values: Vector, points: int) -> tuple[Vector, Vector]:

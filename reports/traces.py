@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from fmus.units import UnitError, parse_quantity, parse_unit
 from reports.folder import Case, Run, RunFolderError
-from reports.signals import Column, Vector, read_columns, same_dimension
+from reports.signals import Column, Columns, Vector, read_columns, read_fault_signals, same_dimension
 from reports.standing import definitions, observers
 
 # Okabe and Ito's colours (the blue lighter), readable on light and dark and by the colour-blind; the truth is grey.
@@ -81,19 +82,46 @@ def part_colours(run: Run) -> dict[str, str]:
     return {part: COLOURS[index % len(COLOURS)] for index, part in enumerate(observers(run))}
 
 
-def fault_windows(run: Run, case: Case, stop: float) -> tuple[Window, ...]:
-    """When the sensors' faults are active up to `stop` [s]: as the campaign declares and the case overrides them."""
-    windows = []
+def labelled(windows: Sequence[Window]) -> list[tuple[int, Window]]:
+    """The first window of each label, numbered from 0: labels stand one below the other, so that none hides another."""
+    first: dict[str, Window] = {}
+    for window in windows:
+        first.setdefault(window.label, window)
+    return list(enumerate(first.values()))
+
+
+def fault_windows(run: Run, case: Case, begin: float, stop: float) -> tuple[Window, ...]:
+    """When faults act between two times [s]: as recorded, else as the campaign declares and the case overrides them."""
+    signals = read_fault_signals(run, case)
+    windows = list(_recorded_windows(signals, begin, stop))
+    told = {name.partition(".")[0] for name in signals.signals}
     for part, spec in (run.campaign.get("parts") or {}).items():
+        if part in told:
+            continue
         declared = spec.get("faults") if isinstance(spec, Mapping) else None
         for index, fault in enumerate(_overridden(run, case, f"{part}.faults", declared or [])):
             settings = {key: value for key, value in fault.items() if value is not None}
             settings |= _changed(run, case, f"{part}.faults.{index}.")
             since, until = (_si(settings.pop(key, None), "s") for key in ("from", "to"))
+            settings.pop("code", None)
             kind = ", ".join(key if value is True else f"{key} {value}" for key, value in settings.items())
             if since is not None and since < stop:
                 windows.append(Window(f"{part}: {kind}", since, stop if until is None else min(until, stop)))
-    return tuple(windows)
+    return tuple(sorted(windows, key=lambda window: window.since))
+
+
+def _recorded_windows(signals: Columns, begin: float, stop: float) -> Iterator[Window]:
+    """The stretches in which a fault signal stays at one code, each from its first row to the first row after it."""
+    time = signals.time
+    for name, column in signals.signals.items():
+        meanings = dict(item.split(": ", 1) for item in column.description.split("; ")[1:])
+        edges = [0, *(np.flatnonzero(np.diff(column.values)) + 1), len(time)]
+        for first, after in pairwise(edges):
+            code = column.values[first] if first < after else 0.0
+            since, until = (float(time[min(row, len(time) - 1)]) for row in (first, after))
+            if code and since < stop and until > begin:
+                meaning = meanings.get(f"{code:g}", f"fault {code:g}")
+                yield Window(f"{name.partition('.')[0]}: {meaning}", max(since, begin), min(until, stop))
 
 
 def _overridden(run: Run, case: Case, path: str, declared: Any) -> list[Mapping[str, Any]]:
@@ -139,7 +167,7 @@ def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
     signals = {name: replace(column, values=column.values[drawn]) for name, column in columns.signals.items()}
     unit = str(entry.get("unit") or "")
     panels = [_panel(run, group, time, signals, entry.get("lines") or {}, unit) for group in groups]
-    return Figure(title, case, tuple(panels), fault_windows(run, case, float(time[-1])))
+    return Figure(title, case, tuple(panels), fault_windows(run, case, float(time[0]), float(time[-1])))
 
 
 def _panel(
@@ -203,6 +231,6 @@ def _si(raw: Any, unit: str) -> float | None:
         return None
     try:
         number, written = parse_quantity(str(raw))
-        return parse_unit(written or unit).to_si(number)
+        return parse_unit(written or unit).to_si(number) if same_dimension(written or unit, unit) else None
     except UnitError:
         return None

@@ -264,3 +264,37 @@ def sampled(design: Annotated[float, "s"] = 0.0, sample_time: Annotated[float, "
         sample=lambda t, x, m, u, p: {"m": u.u},
         sample_time="period",
     )
+
+
+def arrays(seed: int = 0) -> Linear:
+    """A Linear part whose two inputs and two outputs are the arrays u and y."""
+    part = Linear(2, 2, seed, 0.0, "native", "controller")
+    part.inputs = (Signal("u[1]"), Signal("u[2]"))
+    part.outputs = (Signal("y[1]"), Signal("y[2]"))
+    return part
+
+
+class Vote(Clockwork):
+    """An observer of three redundant readings: which of them stands apart from the middle one by more than a bound."""
+
+    role: Role = "observer"
+    inputs = (Signal("a", "rpm"), Signal("b", "rpm"), Signal("c", "rpm"))
+    outputs = (Signal("culprit", kind="integer"),)
+    feedthrough = frozenset({("culprit", "a"), ("culprit", "b"), ("culprit", "c")})
+
+    def __init__(self, bound: float) -> None:
+        self.bound = bound
+
+    def start(self, t0: float, u: Vector) -> Vector:
+        """1, 2 or 3, or 0 where all agree."""
+        apart = np.abs(u - np.median(u))
+        return np.array([float(np.argmax(apart) + 1 if apart.max() > self.bound else 0)])
+
+    def step(self, t: float, h: float, u: Vector) -> Vector:
+        """The same."""
+        return self.start(t, u)
+
+
+def vote(bound: Annotated[float, "rpm"]) -> Vote:
+    """A Vote with a bound."""
+    return Vote(bound)

@@ -15,10 +15,12 @@ from fmus.fmu import FmuComponent
 from fmus.units import parse_unit
 from harness.clock import CrankGrid, TimeGrid
 from harness.coupling import solve_start
+from harness.faults import Timed
 from harness.points import Points
 from harness.replay import ReplayComponent
 from harness.sensor import Errors, SensorComponent, lag_weights, split_delay, stream
 from harness.source import SourceComponent, Wave
+from harness.swap import SwapComponent
 from harness.system import Group, Slot, System
 
 DEGREE = math.pi / 180.0
@@ -323,10 +325,12 @@ def most_samples(system: System) -> int:
     return grid.steps + 1 if isinstance(grid, TimeGrid) else min(grid.steps, 100_000) + 1
 
 
-def twin(component: Component, samples: int) -> Component | SensorTwin | SourceTwin | ReplayTwin:
-    """The plain-Python twin of a sensor, source or replay good for so many samples; any other is its own."""
+def twin(component: Component, samples: int) -> Component | SensorTwin | SwapTwin | SourceTwin | ReplayTwin:
+    """The plain-Python twin of a sensor, swap, source or replay good for so many samples; any other is its own."""
     if isinstance(component, SensorComponent):
-        return SensorTwin(component.errors, component.period, component.seed, component.part, samples)
+        return SensorTwin(component.errors, component.period, component.seed, component.part, samples, component.timed)
+    if isinstance(component, SwapComponent):
+        return SwapTwin(component)
     if isinstance(component, ReplayComponent):
         return ReplayTwin(component)
     return SourceTwin(component) if isinstance(component, SourceComponent) else component
@@ -335,30 +339,34 @@ def twin(component: Component, samples: int) -> Component | SensorTwin | SourceT
 class SensorTwin:
     """A sensor that draws all its random numbers at once and keeps the whole history of what it delays."""
 
-    def __init__(self, errors: Errors, period: float, seed: int, part: str, samples: int) -> None:
-        self.errors, self.period = errors, period
+    def __init__(self, errors: Errors, period: float, seed: int, part: str, samples: int, timed: Timed = "end") -> None:
+        self.errors, self.period, self.timed = errors, period, timed
         self.normals = stream(seed, part, "noise").standard_normal(samples)
         self.uniforms = stream(seed, part, "drop_out").random(samples)
 
     def keep(self) -> None:
-        """Remember how long its history is."""
+        """Remember how long its history is, and since when its faults act."""
         self.kept = len(self.signal)
+        self.kept_acted = [list(times) for times in self.acted]
 
     def restore(self) -> None:
         """Forget what came after."""
         for history in (self.lagged, self.signal, self.readings):
             del history[self.kept :]
+        self.acted = [list(times) for times in self.kept_acted]
 
     def start(self, t0: float, u: Sequence[float]) -> list[float]:
-        """The initialised reading."""
+        """The initialised reading, and the fault that acts."""
         self.lagged: list[float] = [float(u[0])]
         self.signal: list[float] = [float(u[0])]
-        self.readings = [self._disturbed(float(u[0]), t0, 0)]
-        return self.readings[-1:]
+        self.acted: list[list[float]] = [[] for _ in self.errors.faults]  # the times of the samples in a row
+        self._look(t0, 0)
+        self.readings = [self._disturbed(self._late(0), t0, 0)]
+        return self._told()
 
     def step(self, t: float, h: float, u: Sequence[float]) -> list[float]:
-        """The reading at t + h."""
-        errors, now = self.errors, t + h
+        """The reading at t + h, and the fault that acts."""
+        errors = self.errors
         self.signal.append(float(u[0]))
         if errors.lag:
             decay, older, newer = lag_weights(errors.lag, self.period)
@@ -366,33 +374,51 @@ class SensorTwin:
         else:
             self.lagged.append(self.signal[-1])
         k = len(self.signal) - 1
-        whole, fraction = split_delay(errors.delay, self.period)
-        late, later = self.lagged[max(k - whole, 0)], self.lagged[max(k - whole - 1, 0)]
-        reading = self._disturbed(late if fraction == 0.0 else late + fraction * (later - late), now, k)
-        kept = 1.0 - errors.drop_out
-        for fault in self._active(now, "drop_out"):
-            kept *= 1.0 - fault
-        stuck = any(True for _ in self._active(now, "stuck"))
+        now, sample = (t, k - 1) if self.timed == "begin" else (t + h, k)
+        self._look(now, sample)
+        reading = self._disturbed(self._late(k), now, k)
+        kept, stuck = 1.0 - errors.drop_out, False
+        for fault, times in zip(errors.faults, self.acted, strict=True):
+            if times and fault.kind == "drop_out":
+                kept *= 1.0 - fault.value
+            stuck = stuck or bool(times and fault.kind == "stuck")
         self.readings.append(self.readings[-1] if stuck or self.uniforms[k] < 1.0 - kept else reading)
-        return self.readings[-1:]
+        return self._told()
 
-    def _active(self, now: float, *kinds: str) -> list[float]:
-        edge = 1e-6 * self.period
-        return [f.value for f in self.errors.faults if f.kind in kinds and f.start - edge <= now < f.until - edge]
+    def _look(self, now: float, sample: int) -> None:
+        for fault, times in zip(self.errors.faults, self.acted, strict=True):
+            if fault.window.holds(now, 1e-6 * (self.period or 1e-3), sample):
+                times.append(now)
+            else:
+                times.clear()
+
+    def _told(self) -> list[float]:
+        codes = [float(fault.code) for fault, times in zip(self.errors.faults, self.acted, strict=True) if times]
+        return [self.readings[-1], *([[*codes, 0.0][0]] if self.errors.faults else [])]
+
+    def _late(self, k: int) -> float:
+        delay = self.errors.delay / self.period if self.errors.delay else 0.0
+        for fault, times in zip(self.errors.faults, self.acted, strict=True):
+            if fault.kind == "delay" and times:
+                delay += min(fault.value, float(len(times)))
+        whole, fraction = split_delay(delay, 1.0)
+        late, later = self.lagged[max(k - whole, 0)], self.lagged[max(k - whole - 1, 0)]
+        return late if fraction == 0.0 else late + fraction * (later - late)
 
     def _disturbed(self, value: float, now: float, k: int) -> float:
-        errors, edge = self.errors, 1e-6 * self.period
+        errors = self.errors
         value = value * errors.gain + errors.bias
         variance = errors.noise * errors.noise
-        for fault in errors.faults:
-            if not fault.start - edge <= now < fault.until - edge:
+        for fault, times in zip(errors.faults, self.acted, strict=True):
+            if not times:
                 continue
             if fault.kind == "bias":
                 value += fault.value
             elif fault.kind == "gain":
                 value *= fault.value
             elif fault.kind == "drift":
-                value += fault.value * (now - fault.start)
+                start = fault.window.start
+                value += fault.value * (now - (start if math.isfinite(start) else times[0]))
             elif fault.kind == "noise":
                 variance += fault.value * fault.value
         if variance > 0.0:
@@ -400,6 +426,37 @@ class SensorTwin:
         if errors.resolution > 0.0:
             value = errors.resolution * float(np.rint(value / errors.resolution))
         return min(max(value, errors.lowest), errors.highest)
+
+
+class SwapTwin:
+    """Two signals, crossed where the window says so."""
+
+    def __init__(self, swap: SwapComponent) -> None:
+        self.swap = swap
+
+    def keep(self) -> None:
+        """Remember the sample."""
+        self.kept = self.k
+
+    def restore(self) -> None:
+        """Go back to it."""
+        self.k = self.kept
+
+    def start(self, t0: float, u: Sequence[float]) -> list[float]:
+        """Both at t0, and the code."""
+        self.k = 0
+        return self._crossed(t0, 0, u)
+
+    def step(self, t: float, h: float, u: Sequence[float]) -> list[float]:
+        """Both at t + h, and the code."""
+        self.k += 1
+        early = self.swap.timed == "begin"
+        return self._crossed(t if early else t + h, self.k - 1 if early else self.k, u)
+
+    def _crossed(self, now: float, sample: int, u: Sequence[float]) -> list[float]:
+        if self.swap.window.holds(now, 1e-6 * (self.swap.period or 1e-3), sample):
+            return [float(u[1]), float(u[0]), float(self.swap.code)]
+        return [float(u[0]), float(u[1]), 0.0]
 
 
 class SourceTwin:

@@ -33,9 +33,10 @@ from fmus.plants.driveline import MODEL as DRIVELINE
 from harness import sensor as sensor_module
 from harness.clock import CrankGrid
 from harness.crank import CrankComponent
+from harness.faults import ActingFault, Window
 from harness.held import HeldComponent
 from harness.reversal import reversal_of
-from harness.sensor import REVERSIBLE, Errors, FaultWindow, SensorComponent
+from harness.sensor import REVERSIBLE, Errors, SensorComponent
 
 Move = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)
 Derive = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)
@@ -445,12 +446,14 @@ def test_a_sampled_model_whose_outputs_jump_with_its_inputs_has_no_derivative(pe
 # ---- sensors and sources ----
 
 FAULTED = (
-    FaultWindow("bias", 0.3, 0.0, 0.08),
-    FaultWindow("gain", 1.1, 0.01, 0.09),
-    FaultWindow("drift", 2.0, 0.02, np.inf),
-    FaultWindow("stuck", 0.0, 0.03, 0.035),
-    FaultWindow("drop_out", 0.4, 0.04, 0.14),
-    FaultWindow("noise", 0.2, 0.05, 0.15),
+    ActingFault("bias", 0.3, Window(0.0, 0.08)),
+    ActingFault("gain", 1.1, Window(0.01, 0.09)),
+    ActingFault("drift", 2.0, Window(0.02, np.inf)),
+    ActingFault("stuck", 0.0, Window(0.03, 0.035)),
+    ActingFault("drop_out", 0.4, Window(0.04, 0.14)),
+    ActingFault("noise", 0.2, Window(0.05, 0.15)),
+    ActingFault("delay", 6.5, Window(0.03, 0.12), code=9),
+    ActingFault("drift", 0.5, Window(first=45, last=130)),
 )
 H = 1e-3
 
@@ -470,15 +473,15 @@ class Driven:
         self.native, self.way = self.sensor.native(), self.sensor.reversal()
         self.kept: list[float] = []
 
-    def samples(self, chance: int, count: int) -> list[float]:
-        """Readings of so many more samples of a signal."""
-        found, y = [], np.zeros(1)
+    def samples(self, chance: int, count: int) -> list[list[float]]:
+        """Readings, and the faults that act, of so many more samples of a signal."""
+        found, y = [], np.zeros(len(self.sensor.outputs))
         for _ in range(count):
             k = len(self.signal)
             self.signal.append(signal_of(chance, k))
             u = np.array(self.signal[-1:])
             assert Step(self.native.step)(self.native.self, (k - 1) * H, H, u.ctypes.data, y.ctypes.data) == OK
-            found.append(float(y[0]))
+            found.append(y.tolist())
         return found
 
     def keep(self) -> None:
@@ -489,12 +492,12 @@ class Driven:
         self.signal = list(self.kept)
         return Move(self.way.restore)(self.way.self)
 
-    def wanted(self, count: int) -> list[float]:
-        """The last readings of a twin that was never taken back."""
+    def wanted(self, count: int) -> list[list[float]]:
+        """The same of a twin that was never taken back."""
         twin = SensorTwin(self.errors, H, self.seed, "sensor", len(self.signal))
-        readings = twin.start(0.0, self.signal[:1])
+        readings = [twin.start(0.0, self.signal[:1])]
         for k in range(1, len(self.signal)):
-            readings += twin.step((k - 1) * H, H, self.signal[k : k + 1])
+            readings.append(twin.step((k - 1) * H, H, self.signal[k : k + 1]))
         return readings[len(readings) - count :]
 
 

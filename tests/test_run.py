@@ -201,7 +201,7 @@ def _noisy_loop() -> System:
 
 
 @st.composite
-def _scenarios(draw: st.DrawFn) -> Scenario:
+def scenarios(draw: st.DrawFn) -> Scenario:
     """Up to six parts of all kinds and rates, wired at random."""
     count = draw(st.integers(1, 6))
     kinds = [draw(st.sampled_from(["source", "sensor", "native", "python"])) for _ in range(count)]
@@ -216,6 +216,8 @@ def _scenarios(draw: st.DrawFn) -> Scenario:
     measurable = [name for name in anything if kinds[int(name[1])] != "sensor"]
     rate = st.sampled_from(["1 ms", "2 ms", "3 ms"])
     parts: dict[str, Any] = {}
+    wires = st.sampled_from(anything)
+    wires |= st.builds(lambda name, faults: {"from": name, "faults": faults}, wires, st.lists(_faults, max_size=3))
     for i, (kind, (inputs, outputs)) in enumerate(zip(kinds, shapes, strict=True)):
         if kind == "source":
             parts[f"p{i}"] = draw(_sources)
@@ -229,8 +231,11 @@ def _scenarios(draw: st.DrawFn) -> Scenario:
                 "direct": draw(st.sampled_from([0.0, 0.2])),
                 "language": kind,
             }
-            wires = {f"u{j}": draw(st.sampled_from(anything)) for j in range(inputs)}
-            parts[f"p{i}"] = {"use": "loop_parts:linear", "with": chosen, "wires": wires, "every": draw(rate)}
+            wired = {f"u{j}": draw(wires) for j in range(inputs)}
+            parts[f"p{i}"] = {"use": "loop_parts:linear", "with": chosen, "wires": wired, "every": draw(rate)}
+    for i in range(draw(st.integers(0, 2)) if len(anything) > 1 else 0):
+        pair = draw(st.lists(st.sampled_from(anything), min_size=2, max_size=2, unique=True))
+        parts[f"s{i}"] = {"use": "swap", "between": pair, **draw(_windows)}
     return scenario(parts, stop="40 ms", seed=draw(st.integers(0, 2**40)))
 
 
@@ -279,12 +284,13 @@ _sources = st.one_of(
     ),
 )
 _probability = st.floats(0.0, 1.0)
+_windows = st.builds(
+    lambda begin, length: {"from": f"{begin} ms", **({} if length is None else {"to": f"{begin + length} ms"})},
+    st.integers(-5, 40),
+    st.none() | st.integers(1, 20),
+)
 _faults = st.builds(
-    lambda fault, begin, length: {
-        **fault,
-        "from": f"{begin} ms",
-        **({} if length is None else {"to": f"{begin + length} ms"}),
-    },
+    lambda fault, window: {**fault, **window},
     st.one_of(
         st.builds(lambda a: {"bias": a}, _level),
         st.builds(lambda a: {"gain": a}, _level),
@@ -292,9 +298,9 @@ _faults = st.builds(
         st.just({"stuck": True}),
         st.builds(lambda a: {"drop_out": a}, _probability),
         st.builds(lambda a: {"noise": abs(a)}, _level),
+        st.builds(lambda t: {"delay": f"{t} ms"}, st.floats(0.0, 9.0) | st.integers(0, 9)),
     ),
-    st.integers(-5, 40),
-    st.none() | st.integers(1, 20),
+    _windows,
 )
 _errors = st.fixed_dictionaries(
     {},
@@ -314,7 +320,7 @@ _errors = st.fixed_dictionaries(
 
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(described=_scenarios())
+@given(described=scenarios())
 def test_the_c_loop_matches_the_plain_python_oracle_bit_for_bit(described: Scenario) -> None:
     try:
         wired = wire(described)

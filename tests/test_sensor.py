@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from oracle import SensorTwin
 
 from fmus.component import ConfigurationError, Signal
+from harness.clock import Pace, TimeGrid
+from harness.faults import FAULTS, ActingFault, Sampling, Timed, Window
 from harness.findings import Findings
 from harness.places import Places
 from harness.scenario import SensorPart
-from harness.sensor import FAULTS, Errors, FaultWindow, SensorComponent, build_sensor, stream
+from harness.sensor import Errors, SensorComponent, build_sensor, stream
 
 H = 1e-3
 RPM = 2.0 * math.pi / 60.0
@@ -25,18 +27,24 @@ RPM = 2.0 * math.pi / 60.0
 def built(unit: str = "1", period: float = H, seed: int = 0, **keys: Any) -> SensorComponent:
     found = Findings(Places(), ("parts", "encoder"))
     spec = SensorPart.model_validate({"use": "sensor", "of": "plant.y", **keys})
-    sensor = build_sensor(spec, Signal("y", unit), period, seed, "encoder", found)
+    sampling = Sampling(TimeGrid(0.0, period, 1), Pace(step=period))
+    sensor = build_sensor(spec, Signal("y", unit), sampling, seed, "encoder", found)
     if found.problems:
         raise ConfigurationError(found.problems)
     return sensor
 
 
+def outputs(sensor: Any, signal: NDArray[np.float64], t0: float = 0.0, period: float = H) -> NDArray[np.float64]:
+    """All outputs for a signal given at every sample, shape (samples, outputs)."""
+    values = [sensor.start(t0, signal[:1])]
+    for k in range(1, len(signal)):
+        values.append(sensor.step(t0 + (k - 1) * period, period, signal[k : k + 1]))
+    return np.array(values)
+
+
 def readings(sensor: Any, signal: NDArray[np.float64], t0: float = 0.0, period: float = H) -> NDArray[np.float64]:
     """All readings of a signal given at every sample."""
-    values = [sensor.start(t0, signal[:1])[0]]
-    for k in range(1, len(signal)):
-        values.append(sensor.step(t0 + (k - 1) * period, period, signal[k : k + 1])[0])
-    return np.array(values)
+    return outputs(sensor, signal, t0, period)[:, 0]
 
 
 def wave(samples: int) -> NDArray[np.float64]:
@@ -219,11 +227,17 @@ _errors = st.builds(
     highest=st.just(math.inf) | st.floats(0, 3),
     faults=st.lists(
         st.builds(
-            lambda kind, value, begin, length: FaultWindow(kind, value, begin * H, (begin + length) * H),
+            ActingFault,
             st.sampled_from(FAULTS),
-            st.floats(0, 1),
-            st.integers(-5, 50),
-            st.integers(1, 40),
+            st.floats(0, 1) | st.integers(0, 9),
+            st.builds(
+                lambda begin, length: Window(begin * H, (begin + length) * H), st.integers(-5, 50), st.integers(1, 40)
+            )
+            | st.builds(
+                lambda first, length: Window(first=first, last=first + length), st.integers(0, 50), st.integers(0, 40)
+            )
+            | st.builds(lambda begin, last: Window(begin * H, last=last), st.integers(-5, 50), st.integers(0, 60)),
+            st.integers(1, 9),
         ),
         max_size=5,
     ).map(tuple),
@@ -231,8 +245,10 @@ _errors = st.builds(
 
 
 @settings(max_examples=200, deadline=None)
-@given(errors=_errors, seed=st.integers(0, 2**64), t0=st.floats(-1, 1))
-def test_a_sensor_matches_its_plain_python_oracle_bit_for_bit(errors: Errors, seed: int, t0: float) -> None:
-    sensor = SensorComponent(Signal("y"), errors, H, seed=seed, part="encoder")
-    plain = SensorTwin(errors, H, seed, "encoder", 60)
-    assert np.array_equal(readings(sensor, wave(60), t0), readings(plain, wave(60), t0))
+@given(errors=_errors, seed=st.integers(0, 2**64), t0=st.floats(-1, 1), timed=st.sampled_from(["begin", "end"]))
+def test_a_sensor_matches_its_plain_python_oracle_bit_for_bit(
+    errors: Errors, seed: int, t0: float, timed: Timed
+) -> None:
+    sensor = SensorComponent(Signal("y"), errors, H, seed=seed, part="encoder", timed=timed)
+    plain = SensorTwin(errors, H, seed, "encoder", 60, timed)
+    assert np.array_equal(outputs(sensor, wave(60), t0), outputs(plain, wave(60), t0))
