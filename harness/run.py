@@ -29,7 +29,7 @@ Chance
     The random numbers of a part depend on (seed, part name) and what they are for, and on nothing else: a part more or
     less, or a sensor made worse, changes no number of another.
 Truth
-    An observer never reads a plant but through a sensor; `wire` refuses it.
+    An observer never reads a plant but through a sensor, and no part reads a fault signal; `wire` refuses it.
 Repetition
     The same system gives the same bytes, however the run is cut into pieces.
 Failure

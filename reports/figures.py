@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 from reports.errors import Confusion, Errors
 from reports.numbers import short
 from reports.signals import Vector, envelope
-from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure
+from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, labelled
 
 # Ink is a colour nothing else has, replaced in the SVG by the page's own text colour.
 INK = "#010203"
@@ -67,9 +67,15 @@ def signals(figure: Figure, name: str) -> str:
             for window in figure.windows:
                 axis.axvspan(window.since, window.until, color=FAULT_COLOUR, alpha=0.15, linewidth=0)
             if panel is figure.panels[0]:
-                for window in figure.windows:
+                for row, window in labelled(figure.windows):
                     axis.annotate(
-                        window.label, (window.since, 1.0), xycoords=("data", "axes fraction"), va="top", fontsize=8.5
+                        window.label,
+                        (window.since, 1.0),
+                        (0.0, -11.0 * row),
+                        xycoords=("data", "axes fraction"),
+                        textcoords="offset points",
+                        va="top",
+                        fontsize=8.5,
                     )
             axis.set_ylabel(panel.label)
             if all(trace.discrete for trace in panel.traces):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from reports.signals import Vector, envelope
-from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, Panel, Trace, Window
+from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, Panel, Trace, Window, labelled
 
 # Points one interactive trace may have, and all of a page together.
 POINTS, PAGE_POINTS = 6000, 150_000
@@ -22,7 +22,10 @@ def interactive(figure: Figure, points: int) -> dict[str, Any]:
     height = (1.0 - gap * (count - 1)) / count
     data: list[dict[str, Any]] = []
     shapes = [_shade(window) for window in figure.windows]
-    annotations = [_note(window.label, x=window.since, y=1.0, xref="x", yref="paper") for window in figure.windows]
+    annotations = [
+        _note(window.label, x=window.since, y=1.0, xref="x", yref="paper") | {"yshift": -14 * row}
+        for row, window in labelled(figure.windows)
+    ]
     layout: dict[str, Any] = {
         "height": 90 + 190 * count,
         "margin": {"l": 90, "r": 10, "t": 34, "b": 50},
