@@ -83,6 +83,14 @@ def part_colours(run: Run) -> dict[str, str]:
     return {part: COLOURS[index % len(COLOURS)] for index, part in enumerate(observers(run))}
 
 
+def labelled(windows: Sequence[Window]) -> list[tuple[int, Window]]:
+    """The first window of each label, numbered from 0: labels stand one below the other, so that none hides another."""
+    first: dict[str, Window] = {}
+    for window in windows:
+        first.setdefault(window.label, window)
+    return list(enumerate(first.values()))
+
+
 def fault_windows(run: Run, case: Case, begin: float, stop: float) -> tuple[Window, ...]:
     """When faults act between two times [s]: as recorded, else as the campaign declares and the case overrides them."""
     signals = read_fault_signals(run, case)
@@ -171,7 +179,7 @@ def _panel(
     lines: Mapping[str, str],
     unit: str,
 ) -> Panel:
-    truths = {truth for definition in definitions(run).values() for truth, _ in definition.pairs}
+    truths = {definition.signals[0] for definition in definitions(run).values() if len(definition.signals) > 1}
     colours = part_colours(run)
     spare = [colour for colour in COLOURS if colour not in colours.values()] or list(COLOURS)
     traces: list[Trace] = []
