@@ -70,6 +70,12 @@ class Sampling(NamedTuple):
         cycles, rest = divmod(instant - 1, grid.cycle)  # the instants 1 ... instant - 1, of which 0 is no step
         return 1 + cycles * sum(pace.due) + sum(pace.due[1 : rest + 1])
 
+    def shortest(self, speed: float) -> float:
+        """The time between two samples [s]; on a crank clock at a speed [rad/s], the shortest there may be."""
+        if not isinstance(self.grid, CrankGrid):
+            return self.pace.step
+        return (1 if self.pace.due else self.pace.period) * math.radians(self.grid.degrees) / speed
+
     def late(self, delay: Measure, found: Findings) -> float:
         """A delay in samples; 0 and a problem where it is none of so many samples."""
         if not isinstance(self.grid, CrankGrid):

@@ -9,6 +9,13 @@ typedef struct {
     /* x_k = decay x_{k-1} + older u_{k-1} + newer u_k; newer = 1, the others 0, without a lag */
     int64_t lags;
     double decay, older, newer;
+    /* where the steps differ in length: the time constant of the lag [s], and the step that the weights are for */
+    double lag, weighted;
+    /* and a delay of so long [s]: the samples lie in a ring with their times, the last one not after what is read at
+     * `tail` */
+    double wait;
+    int64_t places, head, tail;
+    double *times, *waiting;
     /* a delay of so many samples; `line` is a ring of the samples that it and the faults' delays reach, and REVERSIBLE;
      * without a delay of none */
     double delay;
@@ -30,7 +37,7 @@ typedef struct {
     int64_t next, sample, code;
     double lagged, input, reading;
     /* the state kept, and how many samples were taken since; more than REVERSIBLE where none is kept */
-    int64_t since, kept_used, kept_next, kept_sample, kept_code;
+    int64_t since, kept_used, kept_next, kept_sample, kept_code, kept_head, kept_tail;
     double kept_lagged, kept_input, kept_reading;
 } Sensor;
 
@@ -46,6 +53,38 @@ static int sensor_draw(double *block, void (*draw)(void))
 static inline double limited(const Sensor *s, double v)
 {
     return v < s->lowest ? s->lowest : v > s->highest ? s->highest : v;
+}
+
+/* The weights of a lag for a step of another length; see lag_weights in sensor.py. */
+static SELDOM void weigh(Sensor *s, double h)
+{
+    const double ratio = h / s->lag, decay = exp(-ratio), mean = -expm1(-ratio) / ratio;
+    s->decay = decay;
+    s->older = mean - decay;
+    s->newer = 1.0 - mean;
+    s->weighted = h;
+}
+
+/* The signal `wait` seconds ago, linear between samples, into `v`; ERROR where the ring has no more places. */
+static int awaited(Sensor *s, double t, double *v)
+{
+    const double then = t - s->wait;
+    const int64_t following = s->head + 1 == s->places ? 0 : s->head + 1;
+    s->times[s->head] = t;
+    s->waiting[s->head] = *v;
+    while (s->tail != s->head) {
+        const int64_t later = s->tail + 1 == s->places ? 0 : s->tail + 1;
+        if (s->times[later] > then) break;
+        s->tail = later;
+    }
+    const double early = s->waiting[s->tail], early_time = s->times[s->tail];
+    *v = early;
+    if (s->tail != s->head && early_time < then) {
+        const int64_t later = s->tail + 1 == s->places ? 0 : s->tail + 1;
+        *v = early + (then - early_time) / (s->times[later] - early_time) * (s->waiting[later] - early);
+    }
+    s->head = following;
+    return (s->tail - following + s->places) % s->places > REVERSIBLE ? OK : ERROR;
 }
 
 /* The signal `delay` samples and the delays of the faults ago, linear between samples. A fault's delay holds what was
@@ -66,7 +105,7 @@ static double delayed(Sensor *s, double v)
     return fraction < 1e-9 ? late : late + fraction * (later - late);
 }
 
-static int sensor_measure(Sensor *s, double t, int64_t sample, double u, int first)
+static int sensor_measure(Sensor *s, double t, double h, int64_t sample, double u, int first)
 {
     double normal = 0.0, uniform = 1.0;
     if (s->used == s->drawn) {
@@ -80,11 +119,13 @@ static int sensor_measure(Sensor *s, double t, int64_t sample, double u, int fir
 
     double v = u;
     if (s->lags) {
+        if (s->lag > 0.0 && h != s->weighted && !first) weigh(s, h);
         if (!first) s->lagged = s->decay * s->lagged + s->older * s->input + s->newer * u;
         s->input = u;
         v = s->lagged;
     }
     s->code = faults_at(s->faults, s->fault_count, t, s->edge, sample);
+    if (s->places && awaited(s, t, &v) != OK) return ERROR;
     if (s->length) v = delayed(s, v);
     v = v * s->gain + s->bias;
 
@@ -125,10 +166,11 @@ EXPORT int crankbench_sensor_start(void *self, double t0, const double *u, doubl
     s->lagged = s->input = u[0];
     for (int64_t i = 0; i < s->length; i++) s->line[i] = u[0];
     for (int64_t i = 0; i < s->fault_count; i++) s->faults[i].acted = 0;
-    s->next = s->sample = 0;
+    s->next = s->sample = s->head = s->tail = 0;
+    s->weighted = 0.0;
     s->since = REVERSIBLE;
-    s->plain = !s->lags && !s->length && !s->fault_count && !s->normals && !s->uniforms && s->resolution == 0.0;
-    const int status = sensor_measure(s, t0, 0, u[0], 1);
+    s->plain = !s->lags && !s->length && !s->places && !s->fault_count && !s->normals && !s->uniforms && s->resolution == 0.0;
+    const int status = sensor_measure(s, t0, 0.0, 0, u[0], 1);
     sensor_tell(s, y);
     return status;
 }
@@ -142,8 +184,8 @@ EXPORT int crankbench_sensor_step(void *self, double t, double h, const double *
         return OK;
     }
     s->sample++;
-    const int status = s->early ? sensor_measure(s, t, s->sample - 1, u[0], 0)
-                                : sensor_measure(s, t + h, s->sample, u[0], 0);
+    const int status = s->early ? sensor_measure(s, t, h, s->sample - 1, u[0], 0)
+                                : sensor_measure(s, t + h, h, s->sample, u[0], 0);
     sensor_tell(s, y);
     return status;
 }
@@ -172,6 +214,8 @@ EXPORT int crankbench_sensor_keep(void *self)
     s->kept_next = s->next;
     s->kept_sample = s->sample;
     s->kept_code = s->code;
+    s->kept_head = s->head;
+    s->kept_tail = s->tail;
     keep_faults(s->faults, s->fault_count);
     s->kept_lagged = s->lagged;
     s->kept_input = s->input;
@@ -189,6 +233,8 @@ EXPORT int crankbench_sensor_restore(void *self)
     s->next = s->kept_next;
     s->sample = s->kept_sample;
     s->code = s->kept_code;
+    s->head = s->kept_head;
+    s->tail = s->kept_tail;
     restore_faults(s->faults, s->fault_count);
     s->lagged = s->kept_lagged;
     s->input = s->kept_input;

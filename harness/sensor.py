@@ -6,7 +6,8 @@ signal and H the sample time,
     x_k = a x_{k-1} + (r - a) u_{k-1} + (1 - r) u_k,   a = exp(-H/lag),  r = (1 - a) lag/H,   x_0 = u_0
 
 is the first-order lag, exact for a signal that is linear between samples; a delay of (m + f) H, m whole, reads
-(1 - f) x_{k-m} + f x_{k-m-1}, and before the first sample the signal is taken to have been u_0. Then come gain, bias,
+(1 - f) x_{k-m} + f x_{k-m-1}, and before the first sample the signal is taken to have been u_0. On a crank clock H is
+the length of each step, and a delay D reads x at t_k - D, linear between the samples' own times. Then come gain, bias,
 the faults in the order they are listed, noise, drop-out, quantisation and limits. A lost sample and a stuck sensor
 repeat the last reading as it was; the first sample is neither. Faults of noise add in quadrature, faults of drop-out
 as independent losses. A fault of delay D that acts on its n-th sample in a row adds min(D, n) samples to the delay:
@@ -25,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fmus.component import OK, Native, Reversal, Role, Signal, StepError, Vector
+from fmus.component import ERROR, OK, Native, Reversal, Role, Signal, StepError, Vector
 from harness.faults import (
     MOST_DELAYED_SAMPLES,
     ActingFault,
@@ -43,6 +44,8 @@ from harness.native import address, call, native_reversal, native_step
 from harness.scenario import SensorPart
 
 BLOCK = 4096
+# A delay on a crank clock has places for the samples of a speed up to this [rad/s]: 20,000 rpm.
+FASTEST = 20_000.0 * 2.0 * math.pi / 60.0
 # Samples that may follow a kept state, as in sensor.c.
 REVERSIBLE = 64
 # Faults after which a reading is still a value that the signal had.
@@ -82,6 +85,8 @@ class Errors(NamedTuple):
 
     def repeat(self, period: float) -> bool:
         """Whether every reading, one a `period` [s], is a value that the signal had at some sample."""
+        if period == 0.0 and self.delay:
+            return False
         late = [split_delay(self.delay, period), *(split_delay(f.value, 1.0) for f in self.faults if f.kind == "delay")]
         return (
             self._replace(delay=0.0, drop_out=0.0, faults=()) == Errors()
@@ -114,7 +119,9 @@ _Draw = ctypes.CFUNCTYPE(None)
 class _Sensor(ctypes.Structure):
     _fields_ = [
         ("lags", ctypes.c_int64),
-        *((name, ctypes.c_double) for name in ("decay", "older", "newer")),
+        *((name, ctypes.c_double) for name in ("decay", "older", "newer", "lag", "weighted", "wait")),
+        *((name, ctypes.c_int64) for name in ("places", "head", "tail")),
+        *((name, ctypes.c_void_p) for name in ("times", "waiting")),
         ("delay", ctypes.c_double),
         ("length", ctypes.c_int64),
         ("line", ctypes.c_void_p),
@@ -131,6 +138,7 @@ class _Sensor(ctypes.Structure):
         *((name, ctypes.c_int64) for name in ("next", "sample", "code")),
         *((name, ctypes.c_double) for name in ("lagged", "input", "reading")),
         *((name, ctypes.c_int64) for name in ("since", "kept_used", "kept_next", "kept_sample", "kept_code")),
+        *((name, ctypes.c_int64) for name in ("kept_head", "kept_tail")),
         *((name, ctypes.c_double) for name in ("kept_lagged", "kept_input", "kept_reading")),
     ]
 
@@ -140,7 +148,7 @@ class SensorComponent:
 
     Its input is named `of`, its outputs `value` and, where it has faults, `fault`: the code of the one that acts. The
     value depends directly on the input unless it is delayed by a sample or more. `timed` is the instant of a step that
-    a reading belongs to. A period of 0 is none that stays the same; then there is no lag and no delay.
+    a reading belongs to. A period of 0 is none that stays the same, and then `shortest` [s] is the least it may be.
     """
 
     tells_faults = True
@@ -155,8 +163,10 @@ class SensorComponent:
         part: str = "sensor",
         role: Role = "sensor",
         timed: Timed = "end",
+        shortest: float = 0.0,
     ) -> None:
         self.errors, self.period, self.seed, self.part = errors, period, seed, part
+        self.shortest = shortest
         self.role, self.timed = role, timed
         kind = measured.kind if errors.repeat(period) else "real"
         signal = Signal("value", measured.unit, measured.start, measured.description, measured.nominal, kind=kind)
@@ -164,13 +174,17 @@ class SensorComponent:
         told = [fault_signal([(fault.code, fault.meaning) for fault in errors.faults])] if errors.faults else []
         self.outputs: Sequence[Signal] = (signal, *told)
         self._state: _Sensor | None = None
-        self.feedthrough = frozenset({("value", "of")} if split_delay(errors.delay, period)[0] == 0 else ())
+        late = period > 0.0 and split_delay(errors.delay, period)[0] > 0
+        self.feedthrough = frozenset(() if late else {("value", "of")})
 
     def start(self, t0: float, u: Vector) -> Vector:
         """The reading at t0 [s] of the signal u, and the fault that acts, shape (outputs,)."""
         errors = self.errors
-        decay, older, newer = lag_weights(errors.lag, self.period) if errors.lag else (0.0, 0.0, 1.0)
-        delay = errors.delay / self.period if errors.delay else 0.0
+        varies = self.period == 0.0
+        decay, older, newer = lag_weights(errors.lag, self.period) if errors.lag and not varies else (0.0, 0.0, 1.0)
+        delay = errors.delay / self.period if errors.delay and not varies else 0.0
+        places = math.ceil(errors.delay / self.shortest) + 4 + REVERSIBLE if errors.delay and varies else 0
+        self._times, self._waiting = np.zeros(max(places, 1)), np.zeros(max(places, 1))
         reach = delay + latest(errors.faults)
         length = split_delay(reach, 1.0)[0] + 2 + REVERSIBLE if reach else 0
         self._line = np.zeros(max(length, 1))
@@ -188,6 +202,11 @@ class SensorComponent:
             decay=decay,
             older=older,
             newer=newer,
+            lag=errors.lag if varies else 0.0,
+            wait=errors.delay if varies else 0.0,
+            places=places,
+            times=address(self._times),
+            waiting=address(self._waiting),
             delay=delay,
             length=length,
             line=address(self._line),
@@ -223,6 +242,13 @@ class SensorComponent:
         """Keeping and going back in C, the numbers of chance included; REVERSIBLE samples at most may lie between."""
         return native_reversal("crankbench_sensor_keep", "crankbench_sensor_restore", self._started())
 
+    def failure(self, status: int, time: float) -> StepError:
+        """The error for a step from `time` [s] that ended in `status`."""
+        fastest = f"{FASTEST * 30.0 / math.pi:g} rpm"
+        reach = f"its delay of {self.errors.delay:g} s reaches over more samples than come at {fastest}"
+        told = reach if status == ERROR else "the sensor has no random numbers"
+        return StepError(told, part=self.part, time=time, status=status)
+
     def close(self) -> None:
         """Forget the state: it wants a start before the next step."""
         self._state = None
@@ -235,7 +261,7 @@ class SensorComponent:
     def _reading(self, function: str, *times: float, u: Vector) -> Vector:
         status, outputs = call(function, self._started(), *times, u=u, outputs=len(self.outputs))
         if status != OK:
-            raise StepError("the sensor has no random numbers", part=self.part, time=times[0], status=status)
+            raise self.failure(status, times[0])
         return outputs
 
 
@@ -253,8 +279,9 @@ def build_sensor(
             found.at(key).add(f"wants 0 or more, got {getattr(spec, key)}")
     if noise < 0.0 and spec.noise:
         found.at("noise", "std").add(f"wants 0 or more, got {spec.noise.std}")
-    if delay > MOST_DELAYED_SAMPLES * period:
-        found.at("delay").add(f"wants at most {MOST_DELAYED_SAMPLES} samples of {period:g} s, got {spec.delay}")
+    shortest = sampling.shortest(FASTEST)
+    if delay > MOST_DELAYED_SAMPLES * shortest:
+        found.at("delay").add(f"wants at most {MOST_DELAYED_SAMPLES} samples of {shortest:g} s, got {spec.delay}")
         delay = 0.0
     lowest, highest = -math.inf, math.inf
     if spec.limits:
@@ -273,4 +300,4 @@ def build_sensor(
         highest=highest,
         faults=read_faults(spec.faults, unit, sampling, found.at("faults")),
     )
-    return SensorComponent(measured, errors, period, seed=seed, part=part)
+    return SensorComponent(measured, errors, period, seed=seed, part=part, shortest=shortest)

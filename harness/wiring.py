@@ -176,9 +176,6 @@ def _build_sensor(name: str, spec: SensorPart, measured: Signal, seed: int, grid
     pace = read_pace(spec.every, spec.at, grid, here)
     if pace.own:
         here.at("every").add(f"wants a crank angle, since a sensor samples at instants of the clock, got {spec.every}")
-    if isinstance(grid, CrankGrid) and (spec.lag or spec.delay):
-        here.tell(f"{name} has a lag or a delay, which a sensor on a crank clock cannot have yet")
-        return None
     return Built(build_sensor(spec, measured, Sampling(grid, pace), seed, name, here), pace, {})
 
 

@@ -351,7 +351,7 @@ class SensorTwin:
 
     def restore(self) -> None:
         """Forget what came after."""
-        for history in (self.lagged, self.signal, self.readings):
+        for history in (self.lagged, self.signal, self.readings, self.times, self.waited):
             del history[self.kept :]
         self.acted = [list(times) for times in self.kept_acted]
 
@@ -359,6 +359,7 @@ class SensorTwin:
         """The initialised reading, and the fault that acts."""
         self.lagged: list[float] = [float(u[0])]
         self.signal: list[float] = [float(u[0])]
+        self.times, self.waited = [t0], [float(u[0])]
         self.acted: list[list[float]] = [[] for _ in self.errors.faults]  # the times of the samples in a row
         self._look(t0, 0)
         self.readings = [self._disturbed(self._late(0), t0, 0)]
@@ -369,13 +370,15 @@ class SensorTwin:
         errors = self.errors
         self.signal.append(float(u[0]))
         if errors.lag:
-            decay, older, newer = lag_weights(errors.lag, self.period)
+            decay, older, newer = lag_weights(errors.lag, self.period or h)
             self.lagged.append(decay * self.lagged[-1] + older * self.signal[-2] + newer * self.signal[-1])
         else:
             self.lagged.append(self.signal[-1])
         k = len(self.signal) - 1
         now, sample = (t, k - 1) if self.timed == "begin" else (t + h, k)
         self._look(now, sample)
+        self.times.append(now)
+        self.waited.append(self._awaited(now) if errors.delay and not self.period else self.lagged[-1])
         reading = self._disturbed(self._late(k), now, k)
         kept, stuck = 1.0 - errors.drop_out, False
         for fault, times in zip(errors.faults, self.acted, strict=True):
@@ -397,13 +400,23 @@ class SensorTwin:
         return [self.readings[-1], *([[*codes, 0.0][0]] if self.errors.faults else [])]
 
     def _late(self, k: int) -> float:
-        delay = self.errors.delay / self.period if self.errors.delay else 0.0
+        delay = self.errors.delay / self.period if self.errors.delay and self.period else 0.0
         for fault, times in zip(self.errors.faults, self.acted, strict=True):
             if fault.kind == "delay" and times:
                 delay += min(fault.value, float(len(times)))
         whole, fraction = split_delay(delay, 1.0)
-        late, later = self.lagged[max(k - whole, 0)], self.lagged[max(k - whole - 1, 0)]
+        late, later = self.waited[max(k - whole, 0)], self.waited[max(k - whole - 1, 0)]
         return late if fraction == 0.0 else late + fraction * (later - late)
+
+    def _awaited(self, now: float) -> float:
+        """The lagged signal a delay ago, linear between the samples' own times."""
+        then = now - self.errors.delay
+        place = max((i for i, time in enumerate(self.times) if time <= then), default=0)
+        early, early_time = self.lagged[place], self.times[place]
+        if place == len(self.times) - 1 or early_time >= then:
+            return early
+        share = (then - early_time) / (self.times[place + 1] - early_time)
+        return early + share * (self.lagged[place + 1] - early)
 
     def _disturbed(self, value: float, now: float, k: int) -> float:
         errors = self.errors

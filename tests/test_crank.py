@@ -206,6 +206,34 @@ def test_the_example_of_the_documentation_is_accepted(tmp_path: Path) -> None:
     assert np.array_equal(record.crank, 6.0 * np.arange(6001))
 
 
+def test_a_lag_and_a_delay_on_a_crank_clock_are_those_in_time() -> None:
+    """omega rises evenly: behind a lag T it follows T late, behind a delay D it is D late, whatever the steps are."""
+    parts = {
+        "engine": accelerating("100 rad/s2"),
+        "lagged": {"use": "sensor", "of": "engine.omega", "lag": "20 ms"},
+        "late": {"use": "sensor", "of": "engine.omega", "delay": "30 ms"},
+        "both": {"use": "sensor", "of": "engine.omega", "lag": "20 ms", "delay": "30 ms", "every": "12 deg"},
+    }
+    record = run(system(parts, {"stop": "60 rev"}))
+    settled = record.time > 0.5
+    time, start = record.time[settled], record["engine.omega"][0]
+    # The signal is linear in time, for which lag and delay are exact; the rest of the first lag is exp(-25) = 1e-11.
+    np.testing.assert_allclose(record["lagged.value"][settled], start + 100.0 * (time - 0.02), rtol=1e-10)
+    np.testing.assert_allclose(record["late.value"][settled], start + 100.0 * (time - 0.03), rtol=1e-12)
+    even = settled & (np.arange(len(record.time)) % 2 == 0)
+    np.testing.assert_allclose(record["both.value"][even], start + 100.0 * (record.time[even] - 0.05), rtol=1e-9)
+
+
+def test_a_delay_longer_than_its_ring_is_an_error_that_names_the_sensor() -> None:
+    parts = {
+        "engine": accelerating("9000 rad/s2", "15000 rpm"),
+        "late": {"use": "sensor", "of": "engine.omega", "delay": "50 ms"},
+    }
+    record = run(system(parts, {"stop": "400 rev"}))
+    assert record.outcome == "error" and record.part == "late"
+    assert "its delay of 0.05 s reaches over more samples than come at 20000 rpm" in record.message
+
+
 # Failure
 
 
@@ -290,7 +318,10 @@ def _crank_systems(draw: st.DrawFn) -> System:
             "wires": {"u0": {"from": source, "delay": late}},
             **draw(paces),
         }
-    parts["noisy"] = {"use": "sensor", "of": "engine.omega", "noise": {"std": "3 rad/s"}}
+    slow = draw(
+        st.fixed_dictionaries({}, optional={"lag": st.just("7 ms"), "delay": st.sampled_from(["0.3 ms", "9 ms"])})
+    )
+    parts["noisy"] = {"use": "sensor", "of": "engine.omega", "noise": {"std": "3 rad/s"}, **slow}
     clock = {
         "step": draw(st.sampled_from(["6 deg", "3 deg"])),
         "stop": draw(st.sampled_from(["3 rev", "0.1 s"])),
