@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -663,6 +664,8 @@ metrics:
   a_found: {detection: [a.fault, vote.culprit], unit: ms, only: [bias]}
   b_found: {detection: [b.fault, vote.culprit], unit: ms, only: [drift]}
   right: {accuracy: [b.fault, vote.culprit], only: [drift]}
+  a_alarm: {alarm: [a.fault, vote.culprit], unit: ms, only: [bias]}
+  b_told: {confusion: {pair: [b.fault, vote.culprit], classes: {sound: 0, drifting: 2}}, only: [drift]}
   real_torque: {final: plant__T_eng.value, unit: N.m}
 accept:
   - {bias: a_found.changes == 2}
@@ -673,6 +676,9 @@ accept:
   - {drift: b_found.delay_p95 < 55 ms}
   - {drift: right > 0.98}
   - real_torque == 2.5 N.m
+  - {bias: a_alarm.true_positive_rate == 1}
+  - {bias: a_alarm.false_positive_rate == 0}
+  - {drift: b_told.precision_drifting == 1}
 report:
   figures:
     - {title: Readings, experiment: bias, traces: [[plant.y, a.value]]}
@@ -699,7 +705,7 @@ def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> N
     file.write_text(CAMPAIGN)
     result = execute(read_campaign(file), tmp_path / "out", 1, lambda ended: None)
     assert all(verdict.passed for verdict in result.verdicts), [v for v in result.verdicts if not v.passed]
-    assert result.accepted and len(result.verdicts) == 8
+    assert result.accepted and len(result.verdicts) == 11
     # The report shades what was recorded: a source's row is the one after that whose time it belongs to.
     (whole, part) = declared_figures(read_run(tmp_path / "out"))
     assert [(window.label, window.since, window.until) for window in whole.windows] == [
@@ -711,10 +717,19 @@ def test_a_campaign_judges_a_diagnosis_by_the_fault_signals(tmp_path: Path) -> N
     assert "Shaded, a fault is active: a: bias 50.0 rpm, 1 to 2 s" in page
 
 
+def test_the_campaign_of_the_documentation_is_accepted(tmp_path: Path) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "faults.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```yaml\n(campaign: .*?)```", page, re.DOTALL)
+    file = tmp_path / "faults.yaml"
+    file.write_text(text)
+    result = execute(read_campaign(file), tmp_path / "out", 1, lambda ended: None)
+    assert result.accepted, result.verdicts
+
+
 def test_faults_that_were_not_recorded_are_shaded_as_declared_in_time(tmp_path: Path) -> None:
     file = tmp_path / "diagnosis.yaml"
     record_ = "record: [plant.y, a.value, b, vote, plant__T_eng.value]\nexperiments:"
-    text = CAMPAIGN.replace("experiments:", record_).replace("  a_found:", "  #").replace("  - {bias: a_found", "  #")
+    text = re.sub(r"  (a_found:|a_alarm:|- \{bias: ).*\n", "", CAMPAIGN.replace("experiments:", record_))
     file.write_text(text)
     assert execute(read_campaign(file), tmp_path / "out", 1, lambda ended: None).accepted
     (whole, _) = declared_figures(read_run(tmp_path / "out"))
