@@ -128,6 +128,8 @@ def run(system: System, progress: Progress | None = None, rows: Rows | None = No
             if progress is not None:
                 progress(instant, grid.steps)
         rows.done(used)
+        if interrupts:
+            raise KeyboardInterrupt
     wall = {**started.wall(instant), "total": time.perf_counter() - began}
     return _record(system, rows.kept(), started.warnings, started.failure, wall, started.notes)
 
