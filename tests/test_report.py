@@ -18,7 +18,7 @@ from reports.html import write_report
 from reports.interactive import interactive
 from reports.numbers import short, with_unit
 from reports.provenance import ranges
-from reports.signals import envelope
+from reports.envelope import envelope
 from reports.standing import leaderboard, quantities, standing, unit_of
 from reports.traces import declared_figures
 
