@@ -60,11 +60,17 @@ class Ended:
 
 @dataclass(frozen=True)
 class Underway:
-    """One case that is being run: the instant its worker is at, of which grid."""
+    """One case of `total` that is being run: its rows before `instant` of `grid` are complete."""
 
     case: Case
     instant: int
     grid: Grid
+    total: int
+
+    @property
+    def share(self) -> float | None:
+        """How much of it is done, from 0 to 1; None where nobody knows when it will end."""
+        return None if self.grid.endless else min(max(self.instant - 1, 0) / max(self.grid.steps, 1), 1.0)
 
 
 @dataclass(frozen=True)
@@ -180,13 +186,14 @@ class _Attempt:
     case: Case
     intake: Intake
     underway: Callable[[Underway], None]
+    total: int
 
     def answer(self, told: Told, asked: Full | Ending) -> None:
         self.intake.answer(told, asked)
 
     def look(self, told: Told | None, place: Whereabouts) -> None:
         if told is not None:
-            self.underway(Underway(self.case, place.instant, told.grid))
+            self.underway(Underway(self.case, place.instant, told.grid, self.total))
 
 
 def _run_all(
@@ -199,7 +206,7 @@ def _run_all(
 ) -> None:
     def run_one(case: Case, worker: Worker) -> None:
         with Intake(signals_path(folder, case.key), worker) as intake:
-            attempt = _Attempt(case, intake, underway)
+            attempt = _Attempt(case, intake, underway, len(campaign.cases))
 
             def call() -> Outcome:
                 asked = (run_case, case, folder, campaign.metrics, GROUP)

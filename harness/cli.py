@@ -8,7 +8,7 @@ import sys
 from dataclasses import asdict
 from importlib.metadata import entry_points, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -100,8 +100,9 @@ def run(
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"--out wants a folder, got the file {folder}")
     try:
-        with progress(sys.stderr if as_json else sys.stdout) as tell:
-            result = execute(asked, folder, jobs, tell, "run again" if fresh else "kept")
+        with progress(sys.stderr if as_json else sys.stdout) as teller:
+            finished: Literal["kept", "run again"] = "run again" if fresh else "kept"
+            result = execute(asked, folder, jobs, teller.ended, finished, teller.underway)
     except KeyboardInterrupt:
         print(f"interrupted; what was finished is kept in {folder}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
