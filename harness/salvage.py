@@ -11,7 +11,7 @@ from fmus.whereabouts import Whereabouts
 from harness.campaign import Case
 from harness.clock import CrankGrid
 from harness.record import Record
-from harness.runfolder import write_case, write_failure
+from harness.runfolder import signals_path, write_case, write_failure
 from harness.stream import Intake, Told
 from harness.worker import Outcome
 
@@ -22,13 +22,10 @@ LAST_WORDS = 2000
 def keep_failure(folder: Path, case: Case, outcome: Outcome, intake: Intake) -> None:
     """Write the case.json of a call that gave no result, and the signals up to the fault where there are any."""
     if outcome.place is not None and isinstance(outcome.told, Told):
-        try:
-            record = _salvaged(outcome, outcome.place, outcome.told, intake)
-        except OSError as error:
-            text = f"{outcome.message}{_where(outcome.stage)}; its rows could not be kept: {error}"
-            write_failure(folder, case, outcome.kind, text, _output(outcome), outcome.part)
-        else:
-            write_case(folder, case, record, record, {})
+        record = _salvaged(outcome, outcome.place, outcome.told, intake)
+        if not intake.complete:
+            signals_path(folder, case.key).unlink(missing_ok=True)
+        write_case(folder, case, record, record, {})
     elif outcome.place is not None:
         began = case.scenario.clock.start.si("s")
         text = outcome.message + _where(outcome.stage)
@@ -41,7 +38,7 @@ def keep_failure(folder: Path, case: Case, outcome: Outcome, intake: Intake) -> 
 
 
 def _salvaged(outcome: Outcome, place: Whereabouts, told: Told, intake: Intake) -> Record:
-    """The record of a lost worker, whose rows are kept. Raises OSError.
+    """The record of a lost worker, whose rows are kept where the disk takes them.
 
     An instant or part out of range is the fault's own doing, and not believed.
     """
@@ -54,8 +51,11 @@ def _salvaged(outcome: Outcome, place: Whereabouts, told: Told, intake: Intake) 
     part = outcome.part
     if outcome.stage == "step" and instants:
         part = order[place.number] if 0 <= place.number < len(order) else ""
-    complete = "; all its rows are kept" if instants == grid.steps + 1 else ""
-    intake.salvage(told, rows)
+    kept = "; all its rows are kept" if instants == grid.steps + 1 else ""
+    try:
+        intake.salvage(told, rows)
+    except OSError as error:
+        kept = f"; its rows could not be kept: {error}"
     if isinstance(grid, CrankGrid):
         failed_at = intake.last if rows else grid.start
     else:
@@ -66,7 +66,7 @@ def _salvaged(outcome: Outcome, place: Whereabouts, told: Told, intake: Intake) 
         outcome=outcome.kind,
         part=part,
         failed_at=failed_at,
-        message=outcome.message + _where(outcome.stage) + complete,
+        message=outcome.message + _where(outcome.stage) + kept,
         log=tuple(_output(outcome)),
         wall={"total": outcome.seconds},
     )

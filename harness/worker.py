@@ -159,18 +159,19 @@ class Worker:
             connection.wait([self._line, self._process.sentinel, self._noise.reader], LOOK)
             self._noise.read()
             dead = bool(connection.wait([self._process.sentinel], 0))
+            kind: Any = ""
             try:
-                while done is None and self._line.poll():
+                if self._line.poll():
                     kind, *content = self._line.recv()
-                    if kind == "told":
-                        (told,) = content
-                    elif kind == "asked":
-                        self._answer(caller, told, *content)
-                    else:
-                        done = Outcome(kind, *content)
             except (EOFError, OSError):
                 dead = dead or bool(connection.wait([self._process.sentinel], GOING))
-            if done is None and dead:
+            if kind == "told":
+                (told,) = content
+            elif kind == "asked":
+                self._answer(caller, told, *content)
+            elif kind:
+                done = Outcome(kind, *content)
+            elif dead:
                 done = Outcome("crash", message=watch.cause(self._ended_with()))
             if done is None:
                 done = watch.look()
