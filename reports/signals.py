@@ -216,7 +216,8 @@ def _wanted(names: Collection[str]) -> list[str]:
 def _groups(file: pq.ParquetFile, names: Collection[str]) -> Iterator[Columns]:
     """The signals row group by row group; `iter_batches` would hold all of the file's columns as they are packed."""
     for group in range(file.num_row_groups):
-        yield _columns(file.read_row_group(group, columns=_wanted(names), use_threads=False))
+        if file.metadata.row_group(group).num_rows:
+            yield _columns(file.read_row_group(group, columns=_wanted(names), use_threads=False))
 
 
 def _columns(table: pa.Table) -> Columns:

@@ -177,7 +177,7 @@ def _panel(
     lines: Mapping[str, str],
     unit: str,
 ) -> Panel:
-    truths = {definition.signals[0] for definition in definitions(run).values() if len(definition.signals) > 1}
+    truths = {truth for definition in definitions(run).values() for truth, _ in definition.pairs}
     colours = part_colours(run)
     spare = [colour for colour in COLOURS if colour not in colours.values()] or list(COLOURS)
     traces: list[Trace] = []
