@@ -8,33 +8,38 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from fmus.component import Signal, Vector
-from fmus.whereabouts import doing
+from fmus.component import Signal
+from fmus.whereabouts import Whereabouts, doing
 from fmus.whole import write_whole
 from harness import workplace
 from harness.campaign import Campaign, Case
+from harness.clock import Grid
 from harness.crew import Crew
 from harness.criteria import Verdict, judge
 from harness.definitions import Definition, digest
 from harness.native import settle
 from harness.preflight import preflight, recorded_signals
-from harness.record import COMPLETE
-from harness.run import no_rows, run
+from harness.record import COMPLETE, write_signals
+from harness.run import run
 from harness.runfolder import (
     UNFINISHED,
     case_folder,
     judged,
     measure_again,
     read_case,
+    signals_path,
     write_acceptance,
     write_campaign,
     write_case,
     write_metrics,
 )
-from harness.salvage import Told, keep_failure
-from harness.system import System
+from harness.salvage import keep_failure
+from harness.signalsfile import GROUP, GroupSize
+from harness.stored import StoredRecord
+from harness.stream import Ending, Full, Intake, Streamed, Told
+from harness.window import Recorded
 from harness.wiring import wire
-from harness.worker import Worker
+from harness.worker import Outcome, Worker
 from harness.workplace import condition
 
 # A worker is replaced after this many cases, so that what a component leaks does not pile up.
@@ -51,6 +56,21 @@ class Ended:
     done: int
     total: int
     reused: bool
+
+
+@dataclass(frozen=True)
+class Underway:
+    """One case of `total` that is being run: its rows before `instant` of `grid` are complete."""
+
+    case: Case
+    instant: int
+    grid: Grid
+    total: int
+
+    @property
+    def share(self) -> float | None:
+        """How much of it is done, from 0 to 1; None where nobody knows when it will end."""
+        return None if self.grid.endless else min(max(self.instant - 1, 0) / max(self.grid.steps, 1), 1.0)
 
 
 @dataclass(frozen=True)
@@ -75,18 +95,25 @@ def execute(
     jobs: int,
     tell: Callable[[Ended], None],
     finished: Literal["kept", "run again"] = "kept",
+    underway: Callable[[Underway], None] = lambda case: None,
 ) -> Result:
     """Run the cases, `jobs` at a time, and write the run folder; what became of the cases `finished` earlier is said.
 
-    `tell` hears of every case as it ends. Raises ConfigurationError before anything is written; KeyboardInterrupt
+    `tell` hears of every case as it ends; `underway` many times a second of each that runs, from a thread of its own
+    for each of the `jobs`. Raises ConfigurationError before anything is written; KeyboardInterrupt
     passes through with the finished cases kept.
     """
     with Crew(jobs) as crew:
-        return _execute(campaign, folder, crew, tell, finished)
+        return _execute(campaign, folder, crew, tell, finished, underway)
 
 
 def _execute(
-    campaign: Campaign, folder: Path, crew: Crew, tell: Callable[[Ended], None], finished: Literal["kept", "run again"]
+    campaign: Campaign,
+    folder: Path,
+    crew: Crew,
+    tell: Callable[[Ended], None],
+    finished: Literal["kept", "run again"],
+    underway: Callable[[Underway], None],
 ) -> Result:
     def look(case: Case) -> list[Signal] | None:
         (worker,) = crew.workers[:1]
@@ -111,7 +138,7 @@ def _execute(
             measure_again(folder, case, campaign.metrics)
         tell(Ended(case, content["outcome"], content["message"], number, len(campaign.cases), reused=True))
     try:
-        _run_all(campaign, folder, crew, tell, [case for case in campaign.cases if case not in kept])
+        _run_all(campaign, folder, crew, tell, [case for case in campaign.cases if case not in kept], underway)
     finally:
         write_campaign(folder, campaign)
     cases = [judged(folder, case) for case in campaign.cases]
@@ -128,54 +155,71 @@ def survey(case: Case) -> tuple[list[Signal], Literal["unchanged", "changed"]]:
     return signals, "unchanged" if before == condition() else "changed"
 
 
-def run_case(case: Case, folder: Path, definitions: Mapping[str, Definition]) -> Literal["unchanged", "changed"]:
-    """Wire, run and keep one case, in a worker; what it left the process in. Raises ConfigurationError."""
+def run_case(
+    case: Case, folder: Path, definitions: Mapping[str, Definition], group: GroupSize = GROUP
+) -> Literal["unchanged", "changed"]:
+    """Wire, run and keep one case, in a worker; what it left the process in. Raises ConfigurationError, OSError."""
     settle()
     before = condition()
     with doing("wiring"), wire(case.scenario, case.places) as system:
-        workplace.tell(Told(no_rows(system), system.grid, system.every))
-        record = run(system, rows=_OnSheet(system))
+        workplace.tell(Told.of(system, group))
+        rows = Streamed(system, group)
+        record = run(system, rows=rows)
     after = condition()
     settle()
     with doing("writing"):
-        write_case(folder, case, record, definitions)
+        path = signals_path(folder, case.key)
+        recorded: Recorded = record
+        if rows.handed_over:
+            rows.complete()
+            recorded = StoredRecord(path)
+        else:
+            write_signals(record, path, group)
+        write_case(folder, case, record, recorded, definitions)
     return "unchanged" if before == after and record.outcome in COMPLETE else "changed"
 
 
-class _OnSheet:
-    """Rows in the memory that the parent shares."""
+@dataclass(frozen=True)
+class _Attempt:
+    """Who calls `run_case`, see `harness.worker.Caller`."""
 
-    def __init__(self, system: System) -> None:
-        self._system = system
+    case: Case
+    intake: Intake
+    underway: Callable[[Underway], None]
+    total: int
 
-    def room(self, most: int, columns: int) -> Vector:
-        """Room for all there can be: what is not written takes no memory."""
-        system = self._system
-        workplace.tell(Told(no_rows(system), system.grid, system.every))
-        self._rows = workplace.sheet().new_rows(most, columns)
-        return self._rows
+    def answer(self, told: Told, asked: Full | Ending) -> None:
+        self.intake.answer(told, asked)
 
-    def done(self, count: int) -> None:
-        """They stay where they are."""
-        self._rows = self._rows[:count]
-
-    def kept(self) -> Vector:
-        """All rows."""
-        return self._rows
+    def look(self, told: Told | None, place: Whereabouts) -> None:
+        if told is not None:
+            self.underway(Underway(self.case, place.instant, told.grid, self.total))
 
 
 def _run_all(
-    campaign: Campaign, folder: Path, crew: Crew, tell: Callable[[Ended], None], cases: Sequence[Case]
+    campaign: Campaign,
+    folder: Path,
+    crew: Crew,
+    tell: Callable[[Ended], None],
+    cases: Sequence[Case],
+    underway: Callable[[Underway], None],
 ) -> None:
     def run_one(case: Case, worker: Worker) -> None:
-        outcome = worker.call(run_case, case, folder, campaign.metrics, limits=campaign.limits, stopped=crew.stopped)
-        if outcome.kind in ("crash", "timeout") and not outcome.first:
-            # What an earlier case did to the process may be to blame: the word of a fresh one counts.
-            outcome = worker.call(
-                run_case, case, folder, campaign.metrics, limits=campaign.limits, stopped=crew.stopped
-            )
-        if outcome.kind != "result":
-            keep_failure(folder, case, outcome, worker)
+        with Intake(signals_path(folder, case.key), worker) as intake:
+            attempt = _Attempt(case, intake, underway, len(campaign.cases))
+
+            def call() -> Outcome:
+                asked = (run_case, case, folder, campaign.metrics, GROUP)
+                return worker.call(*asked, limits=campaign.limits, stopped=crew.stopped, caller=attempt)
+
+            outcome = call()
+            if outcome.kind in ("crash", "timeout") and not outcome.first:
+                # What an earlier case did to the process may be to blame: the word of a fresh one counts.
+                intake.begin_anew()
+                outcome = call()
+            if outcome.kind != "result":
+                keep_failure(folder, case, outcome, intake)
+        _clear_unfinished(folder, case)
         if outcome.output:
             write_whole(case_folder(folder, case.key) / "output.txt", outcome.output)
         if outcome.value != "unchanged" or worker.calls >= CASES_A_WORKER:
@@ -188,7 +232,7 @@ def _run_all(
 
 
 def _finished(folder: Path, case: Case) -> bool:
-    has_signals = (case_folder(folder, case.key) / "signals.parquet").is_file()
+    has_signals = signals_path(folder, case.key).is_file()
     return has_signals and read_case(folder, case.key).get("outcome", "") not in UNFINISHED
 
 
@@ -198,5 +242,12 @@ def _clear(folder: Path, cases: Sequence[Case]) -> None:
     for name in ("acceptance.json", "metrics.csv", "report.html"):
         (folder / name).unlink(missing_ok=True)
     for case in cases:
+        _clear_unfinished(folder, case)
         for name in ("case.json", "output.txt"):
             (case_folder(folder, case.key) / name).unlink(missing_ok=True)
+
+
+def _clear_unfinished(folder: Path, case: Case) -> None:
+    """No file is left that a process was writing when it was lost."""
+    for unfinished in case_folder(folder, case.key).glob(".*"):
+        unfinished.unlink()

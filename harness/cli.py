@@ -8,7 +8,7 @@ import sys
 from dataclasses import asdict
 from importlib.metadata import entry_points, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -24,6 +24,8 @@ from harness.doctor import examine, remove_unpacked
 from harness.fmutext import check_lines, inspection_lines, survey_line, words
 from harness.metricslist import metric_kinds, metric_lines
 from harness.progress import progress
+from harness.recordexport import Format, Units
+from harness.recordexport import export as export_records
 from harness.runfolder import plain
 from harness.surveying import Manner, keep, survey
 from harness.surveying import as_json as survey_json
@@ -100,8 +102,9 @@ def run(
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"--out wants a folder, got the file {folder}")
     try:
-        with progress(sys.stderr if as_json else sys.stdout) as tell:
-            result = execute(asked, folder, jobs, tell, "run again" if fresh else "kept")
+        with progress(sys.stderr if as_json else sys.stdout) as teller:
+            finished: Literal["kept", "run again"] = "run again" if fresh else "kept"
+            result = execute(asked, folder, jobs, teller.ended, finished, teller.underway)
     except KeyboardInterrupt:
         print(f"interrupted; what was finished is kept in {folder}", file=sys.stderr)
         raise typer.Exit(INTERRUPTED) from None
@@ -135,6 +138,30 @@ def compare(
     if len(folders) < 2:
         raise ConfigurationError(f"compare wants two run folders or more, got {len(folders)}")
     print(*(entry.load()(folders, out) for entry in entry_points(group="crankbench.comparison")), sep="\n")
+
+
+@app.command()
+def export(
+    target: Annotated[
+        Path, typer.Argument(metavar="DIR|RECORD", help="A run folder, a case's folder in it, or a signals.parquet.")
+    ],
+    to: Annotated[Format, typer.Option(help="Comma-separated values, or ASAM MDF 4.")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder, or file of a single record; beside the records where not given.")
+    ] = None,
+    units: Annotated[
+        Units, typer.Option(help="Units of the values: as declared, or SI as in the record.")
+    ] = "declared",
+    as_json: Json = False,
+) -> None:
+    """Write records in a format of other tools, a file a case."""
+    written = []
+    for path in export_records(target, to, out, units):
+        written.append(path)
+        if not as_json:
+            print(path, flush=True)
+    if as_json:
+        _print_json({"files": written})
 
 
 @app.command()

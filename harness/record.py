@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,20 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from fmus.component import Signal
 from fmus.model import unknown
-from fmus.units import UnitError, parse_unit
-from fmus.whole import write_whole
+from harness.signalsfile import GROUP, LEADING, GroupSize, signals_file
 
 OUTCOMES = ("ok", "warning", "discard", "error", "fatal", "crash", "timeout", "diverged", "unsupported")
 # Outcomes that leave a complete record.
 COMPLETE = ("ok", "warning")
-# Columns of a record that are no signals.
-LEADING = ("time", "crank")
 
 
 @dataclass(frozen=True)
@@ -71,30 +66,17 @@ class Record:
         raise KeyError(unknown(name, self.names, "recorded signal"))
 
 
-def si_unit(unit: str) -> str:
-    """The name of the SI unit of `unit`'s dimension; `unit` itself where nobody knows it."""
-    try:
-        return parse_unit(unit).si_name()
-    except UnitError:
-        return unit
-
-
-def write_signals(record: Record, path: Path) -> None:
+def write_signals(record: Record, path: Path, group: GroupSize = GROUP) -> None:
     """Write `time`, on a crank clock `crank`, and a column a signal as Parquet; the same record gives the same bytes.
 
-    Each column's metadata: `unit` (SI, what the values are in), `display_unit` (as declared), `kind`, `description`.
+    Raises OSError, which names the file.
     """
-    fields = [_field("time", "s", "s", "real", "")]
-    leading = [record.time]
-    if record.crank is not None:
-        fields.append(_field("crank", "deg", "deg", "real", "nominal crank angle"))
-        leading.append(record.crank)
-    for signal in record.signals:
-        fields.append(_field(signal.name, si_unit(signal.unit), signal.unit, signal.kind, signal.description))
-    table = pa.Table.from_arrays([*map(_column, leading), *map(_column, record.values.T)], schema=pa.schema(fields))
-    buffer = io.BytesIO()
-    pq.write_table(table, buffer, compression="zstd", use_dictionary=False, use_byte_stream_split=True)
-    write_whole(path, buffer.getvalue())
+    rows = group.of(1 + len(record.signals))
+    with signals_file(path, record.signals, LEADING[: 1 if record.crank is None else 2]) as file:
+        for begin in range(0, len(record.time), rows):
+            piece = slice(begin, begin + rows)
+            crank = None if record.crank is None else record.crank[piece]
+            file.add(np.column_stack((record.time[piece], record.values[piece])), crank)
 
 
 def read_signals(path: Path, names: Sequence[str] | None = None) -> Record:
@@ -113,13 +95,3 @@ def read_signals(path: Path, names: Sequence[str] | None = None) -> Record:
         unit = metadata.get("display_unit", metadata.get("unit", "1"))
         signals.append(Signal(name, unit, description=metadata.get("description", ""), kind=kind))
     return Record(tuple(signals), time, values, crank=crank)
-
-
-def _column(values: NDArray[np.float64]) -> pa.Array:
-    """The values as a column; `pa.array` would give the same, but import pandas for it, for half a second a process."""
-    return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(np.ascontiguousarray(values))], 0)
-
-
-def _field(name: str, unit: str, display_unit: str, kind: str, description: str) -> pa.Field:
-    metadata = {"unit": unit, "display_unit": display_unit, "kind": kind, "description": description}
-    return pa.field(name, pa.float64(), nullable=False, metadata=metadata)

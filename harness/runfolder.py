@@ -18,8 +18,9 @@ from fmus.whole import write_whole
 from harness.campaign import Campaign, Case
 from harness.criteria import Judged, Verdict
 from harness.definitions import Definition, Measured, Value, digest, meanings, measure, value_part
-from harness.record import COMPLETE, Record, write_signals
+from harness.record import COMPLETE, Record
 from harness.stored import StoredRecord
+from harness.window import Recorded
 
 VERSIONED = ("crankbench", "numpy", "scipy", "casadi", "fmpy", "pyarrow", "pandas")
 # Outcomes that depend on the machine of the day: such a case is run again when the campaign is resumed.
@@ -61,11 +62,20 @@ def read_case(folder: Path, key: str) -> dict[str, Any]:
     return found if isinstance(found, dict) and found.get("key") == key else {}
 
 
-def write_case(folder: Path, case: Case, record: Record, definitions: Mapping[str, Definition]) -> None:
-    """Keep a run: first its signals, then case.json with its metrics, which means done."""
-    write_signals(record, case_folder(folder, case.key) / "signals.parquet")
+def signals_path(folder: Path, key: str) -> Path:
+    """Where a case keeps its signals."""
+    return case_folder(folder, key) / "signals.parquet"
+
+
+def write_case(
+    folder: Path, case: Case, record: Record, recorded: Recorded, definitions: Mapping[str, Definition]
+) -> None:
+    """Keep how a run ended and what its metrics are in case.json, which means done: its signals are kept already.
+
+    Metrics are taken from `recorded`: the record itself, or what is stored of it.
+    """
     complete = record.outcome in COMPLETE
-    measured = measure(definitions, record, case.experiment) if complete else Measured({}, {}, {})
+    measured = measure(definitions, recorded, case.experiment) if complete else Measured({}, {}, {})
     warnings = [*([record.message] if record.outcome == "warning" else []), *record.tolerated]
     content = {
         **_identity(case),
@@ -96,7 +106,7 @@ def write_failure(
     failed_at: float = math.nan,
 ) -> None:
     """Keep what is known of a case whose worker did not come back with a record."""
-    (case_folder(folder, case.key) / "signals.parquet").unlink(missing_ok=True)
+    signals_path(folder, case.key).unlink(missing_ok=True)
     content = {
         **_identity(case),
         "outcome": outcome,
@@ -112,7 +122,7 @@ def measure_again(folder: Path, case: Case, definitions: Mapping[str, Definition
     """Take a finished case's metrics anew from its signals."""
     content = read_case(folder, case.key)
     if content["outcome"] in COMPLETE:
-        record = StoredRecord(case_folder(folder, case.key) / "signals.parquet")
+        record = StoredRecord(signals_path(folder, case.key))
         content |= _measured(measure(definitions, record, case.experiment))
     write_json(case_folder(folder, case.key) / "case.json", {**content, "definitions": digest(definitions)})
 

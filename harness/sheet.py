@@ -1,4 +1,4 @@
-"""The memory a worker shares with its parent: where the worker is, and the rows it wrote so far.
+"""The memory a worker shares with its parent: where the worker is, and the rows it wrote last.
 
 The parent reads both after the worker crashed or was ended. It is no file that anybody could see or would have to
 clean up: it goes with the last of the two processes.
@@ -53,7 +53,7 @@ class Sheet:
         self.head()[: whereabouts.SIZE] = bytes(whereabouts.SIZE)
 
     def new_rows(self, count: int, columns: int) -> NDArray[np.float64]:
-        """Memory for so many rows, shape (count, columns), in place of what was there before."""
+        """Memory for so many rows, shape (count, columns); the first of them are those that were there before."""
         os.ftruncate(self._file, HEAD + 8 * count * columns)
         return self.rows(count, columns)
 

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 
 from fmus.component import Signal
 from fmus.model import unknown
-from harness.record import LEADING
-
-# Rows that are unpacked at a time on the way into a column.
-ROWS_A_PIECE = 1 << 18
+from harness.signalsfile import LEADING
 
 
 class StoredRecord:
@@ -47,7 +44,8 @@ class StoredRecord:
     def _read(self, name: str) -> NDArray[np.float64]:
         values, row = np.empty(self._rows), 0
         with pq.ParquetFile(self._path) as file:
-            for piece in file.iter_batches(ROWS_A_PIECE, columns=[name]):
+            for group in range(file.num_row_groups):  # batches of rows would be read with all of the column packed
+                piece = file.read_row_group(group, columns=[name], use_threads=False)
                 values[row : row + piece.num_rows] = piece.column(name).to_numpy()
                 row += piece.num_rows
         return values

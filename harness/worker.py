@@ -17,7 +17,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import connection
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,6 +83,32 @@ class Outcome:
         return "" if self.place is None else self.place.name.decode(errors="replace")
 
 
+class Caller(Protocol):
+    """Who called: it hears of a call while that lasts."""
+
+    def answer(self, told: Any, asked: Any) -> Any:
+        """What to answer when the function asks by `workplace.ask`; `told` is its last word by `workplace.tell`.
+
+        Raises OSError, which the function gets.
+        """
+
+    def look(self, told: Any, place: Whereabouts) -> None:
+        """What is being done now; called every LOOK or so."""
+
+
+class _Nobody:
+    """A caller that knows no answers."""
+
+    def answer(self, told: Any, asked: Any) -> Any:
+        raise NotImplementedError(f"nobody answers {asked!r}")
+
+    def look(self, told: Any, place: Whereabouts) -> None:
+        pass
+
+
+_NOBODY = _Nobody()
+
+
 def isolated(function: Callable[..., Any], *args: Any, seconds: float = 60.0, memory: float = 4 * GIBIBYTE) -> Outcome:
     """How `function(*args)` ended in a process of its own, within so many seconds [s] and so much memory [bytes].
 
@@ -114,6 +140,7 @@ class Worker:
         *args: Any,
         limits: Limits,
         stopped: Callable[[], bool] = lambda: False,
+        caller: Caller = _NOBODY,
     ) -> Outcome:
         """How a call ended; InterruptedError where `stopped` became true meanwhile, and the worker is gone."""
         if self._process is None or self._exit_code() is not None:
@@ -127,27 +154,32 @@ class Worker:
         told: Any = None
         done: Outcome | None = None
         with suppress(OSError):  # it died just now; the look at it below says of what
-            self._line.send((function, args))
+            self._line.send(("call", function, args))
         while done is None:
             connection.wait([self._line, self._process.sentinel, self._noise.reader], LOOK)
             self._noise.read()
             dead = bool(connection.wait([self._process.sentinel], 0))
+            kind: Any = ""
             try:
-                while done is None and self._line.poll():
+                if self._line.poll():
                     kind, *content = self._line.recv()
-                    if kind == "told":
-                        (told,) = content
-                    else:
-                        done = Outcome(kind, *content)
             except (EOFError, OSError):
                 dead = dead or bool(connection.wait([self._process.sentinel], GOING))
-            if done is None and dead:
+            if kind == "told":
+                (told,) = content
+            elif kind == "asked":
+                self._answer(caller, told, *content)
+            elif kind:
+                done = Outcome(kind, *content)
+            elif dead:
                 done = Outcome("crash", message=watch.cause(self._ended_with()))
             if done is None:
                 done = watch.look()
             if done is None and stopped():
                 self.close()
                 raise InterruptedError
+            if done is None:
+                caller.look(told, self._sheet.whereabouts())
         lost = done.kind in ("crash", "timeout")
         full = memory_used(self._process.pid) > 0.5 * limits.memory
         if lost or full:  # what one call did not give back would be missing to the next
@@ -162,8 +194,17 @@ class Worker:
             first=first,
         )
 
+    def _answer(self, caller: Caller, told: Any, asked: Any) -> None:
+        """Answer what the worker asked. A file that cannot be written is a matter of the call, and refused."""
+        try:
+            reply = ("answer", caller.answer(told, asked))
+        except OSError as error:
+            reply = ("refusal", error)
+        with suppress(OSError):  # the worker may have died meanwhile
+            self._line.send(reply)
+
     def rows(self, count: int, columns: int) -> NDArray[np.float64]:
-        """The first rows of the record that the last call wrote or left behind, shape (count, columns)."""
+        """The first rows in the memory that the last call wrote to, shape (count, columns)."""
         return self._sheet.rows(count, columns)
 
     def close(self) -> None:

@@ -1,4 +1,8 @@
-"""The inside of a worker process: it serves calls, and what it finds and prints goes to its parent only."""
+"""The inside of a worker process: it serves calls, and what it finds and prints goes to its parent only.
+
+A call is ("call", function, arguments); the worker sends ("told", content) and ("asked", content) meanwhile, each of
+these answered by ("answer", value) or ("refusal", error), and at last ("result", value) or ("error", ...).
+"""
 
 from __future__ import annotations
 
@@ -29,6 +33,21 @@ def tell(content: Any) -> None:
         _line.send(("told", content))
 
 
+def ask(content: Any) -> None:
+    """Ask the parent for something; the answer is to be taken later, by `answer`, and answers come in that order."""
+    assert _line is not None, "only a worker has somebody to ask"
+    _line.send(("asked", content))
+
+
+def answer() -> Any:
+    """What the parent answers, to the first question that it has not answered yet. Raises what it refuses with."""
+    assert _line is not None, "only a worker has somebody to ask"
+    kind, content = _line.recv()
+    if kind == "refusal":
+        raise content
+    return content
+
+
 def sheet() -> Sheet:
     """The memory that this process shares with its parent; one of its own where it is nobody's worker."""
     global _sheet
@@ -48,9 +67,12 @@ def serve(line: Connection, lifeline: Descriptor, output: Descriptor, shared: Sh
     line.send(("ready",))
     while True:
         try:
-            function, arguments = line.recv()
+            kind, *content = line.recv()
         except (EOFError, OSError):
             return
+        if kind != "call":  # the answer to what a call that failed had asked
+            continue
+        function, arguments = content
         answer = _answer(function, arguments)
         _flush()
         try:

@@ -11,7 +11,7 @@ import numpy as np
 
 from reports.definitions import definitions
 from reports.folder import Case, Matrix, Run
-from reports.signals import Vector, from_si, read_recorded
+from reports.signals import Columns, Vector, find_recorded, from_si
 
 # Samples a histogram keeps of a truth and estimate; beyond it every n-th of a case is taken, and the report says so.
 SAMPLES_KEPT = 500_000
@@ -72,7 +72,7 @@ def pairs(run: Run) -> list[Pair]:
 def pool(run: Run) -> tuple[list[Errors], list[Confusion]]:
     """Errors of the real pairs and confusion of the discrete ones, over every case that left a record.
 
-    A case that failed counts up to its failure. Only the columns needed are read, each file once.
+    A case that failed counts up to its failure. Only the columns needed are read, each file once, in pieces.
     """
     wanted = pairs(run)
     names = {name for pair in wanted for name in (pair.truth, pair.estimate)}
@@ -82,23 +82,24 @@ def pool(run: Run) -> tuple[list[Errors], list[Confusion]]:
     units: dict[Pair, str] = {}
     stride = 1
     for case in run.cases:
-        columns = read_recorded(run, case, names)
-        here = [pair for pair in wanted if {pair.truth, pair.estimate} <= columns.signals.keys()]
-        stride = max(stride, -(-len(columns.time) * len(run.cases) // SAMPLES_KEPT))
+        recorded = find_recorded(run, case, names)
+        here = [pair for pair in wanted if {pair.truth, pair.estimate} <= recorded.signals.keys()]
+        stride = max(stride, -(-recorded.rows * len(run.cases) // SAMPLES_KEPT))
+        passed = dict.fromkeys(here, 0)
         for pair in here:
-            truth, estimate = (
-                columns.signals[pair.truth],
-                columns.signals[pair.estimate],
-            )
-            rows = np.flatnonzero(
-                (columns.time >= pair.after) & np.isfinite(truth.values) & np.isfinite(estimate.values)
-            )
             cases[pair] += 1
-            if truth.discrete:
-                counts[pair].update(_crossings(truth.values[rows], estimate.values[rows]))
-            else:
-                units[pair] = truth.display_unit
-                errors[pair].append((estimate.values - truth.values)[rows[::stride]])
+            if not recorded.signals[pair.truth].discrete:
+                units[pair] = recorded.signals[pair.truth].display_unit
+                errors[pair].append(np.empty(0))
+        for columns in recorded.pieces():
+            for pair in here:
+                truth, estimate = _compared(columns, pair)
+                if recorded.signals[pair.truth].discrete:
+                    counts[pair].update(_crossings(truth, estimate))
+                else:
+                    chosen = slice(-passed[pair] % stride, None, stride)
+                    errors[pair].append(estimate[chosen] - truth[chosen])
+                passed[pair] += len(truth)
     real = [
         Errors(pair, units[pair], _scaled(errors[pair], units[pair]), cases[pair], stride)
         for pair in wanted
@@ -136,6 +137,13 @@ def _in_order(matrices: Sequence[Matrix]) -> tuple[str, ...]:
 def samples_of(run: Run, name: str, cases: Sequence[Case] | None = None) -> Vector:
     """The samples of that name pooled over the cases, shape (n,), as case.json gives them."""
     return np.array([value for case in (run.cases if cases is None else cases) for value in case.samples.get(name, ())])
+
+
+def _compared(columns: Columns, pair: Pair) -> tuple[Vector, Vector]:
+    """Truth and estimate where they are compared: from some time on, where both are finite."""
+    truth, estimate = columns.signals[pair.truth].values, columns.signals[pair.estimate].values
+    rows = np.flatnonzero((columns.time >= pair.after) & np.isfinite(truth) & np.isfinite(estimate))
+    return truth[rows], estimate[rows]
 
 
 def _scaled(pieces: Sequence[Vector], unit: str) -> Vector:

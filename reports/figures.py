@@ -15,9 +15,9 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import MaxNLocator
 
+from reports.envelope import Vector, envelope
 from reports.errors import Confusion, Errors
 from reports.numbers import short
-from reports.signals import Vector, envelope
 from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, labelled
 
 # Ink is a colour nothing else has, replaced in the SVG by the page's own text colour.

@@ -21,7 +21,7 @@ from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, pool, samples_of
 from reports.folder import Case, Run, read_run
 from reports.interactive import interactive, points_a_trace
-from reports.traces import TRUTH_COLOUR, Figure, declared_figures, part_colours
+from reports.traces import TRUTH_COLOUR, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
 # More scenarios than this are drawn by experiment only, more cases than this are listed in metrics.csv only, and a
@@ -84,7 +84,7 @@ def render(run: Run) -> str:
                 figure,
                 Markup(figures.signals(figure, f"figure{n}")) if figure.panels else "",
                 _script_json(plot),
-                _longest(figure),
+                figure.rows,
             )
             for n, (figure, plot) in enumerate(zip(drawn, plots, strict=True))
         ],
@@ -242,10 +242,6 @@ def _reached(value: float, row: standing.Standing) -> str:
 def _ratio(row: standing.Standing, best: standing.Standing) -> str:
     usable = math.isfinite(row.median) and math.isfinite(best.median) and best.median > 0 and row.median > 0
     return f"{numbers.short(row.median / best.median, 3)}" if usable else "-"
-
-
-def _longest(figure: Figure) -> int:
-    return max((len(trace.time) for panel in figure.panels for trace in panel.traces), default=0)
 
 
 def _script_json(plot: dict[str, Any] | None) -> Markup:

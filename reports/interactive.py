@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from reports.signals import Vector, envelope
-from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, Panel, Trace, Window, labelled
+from reports.envelope import Vector, envelope
+from reports.traces import FAULT_COLOUR, POINTS, TRUTH_COLOUR, Figure, Panel, Trace, Window, labelled
 
-# Points one interactive trace may have, and all of a page together.
-POINTS, PAGE_POINTS = 6000, 150_000
+# Points that all interactive traces of a page may have together.
+PAGE_POINTS = 150_000
 
 
 def interactive(figure: Figure, points: int) -> dict[str, Any]:

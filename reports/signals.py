@@ -1,10 +1,9 @@
-"""Reads recorded signals, only the columns asked for, and thins them for drawing without losing events."""
+"""Reads recorded signals: only the columns asked for, whole, in pieces, or thinned for drawing."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from fmus.model import unknown
 from fmus.units import UnitError, parse_unit
+from reports.envelope import Envelope
 from reports.folder import Case, Run, RunFolderError
 
 Vector = NDArray[np.float64]
@@ -60,57 +60,111 @@ def read_columns(run: Run, case: Case, names: Sequence[str] | None = None) -> Co
     Raises RunFolderError: the case left no record, or the file is damaged. Raises KeyError with the nearest name: a
     signal was not recorded.
     """
-    path = _path(run, case)
-    if not path.is_file():
-        raise RunFolderError(f"{path} is missing: case {case.label} ({case.outcome}) left no record")
-    with _open(path) as file:
-        known = file.schema_arrow.names
-        for name in names or ():
-            if name not in known:
-                raise KeyError(unknown(name, known, "recorded signal"))
-        return _columns(file, known if names is None else names)
+    with _open_with(run, case, names or ()) as file:
+        return _columns(file.read(columns=_wanted(file.schema_arrow.names if names is None else names)))
 
 
-def read_recorded(run: Run, case: Case, names: Collection[str]) -> Columns:
+@dataclass(frozen=True)
+class Recorded:
+    """What a case left of some signals: how many rows, and the signals without their values."""
+
+    rows: int
+    signals: Mapping[str, Column]
+    path: Path
+
+    def pieces(self) -> Iterator[Columns]:
+        """The signals, row group by row group."""
+        if self.signals:
+            with _open(self.path) as file:
+                yield from _groups(file, self.signals)
+
+
+def find_recorded(run: Run, case: Case, names: Collection[str]) -> Recorded:
     """Those of the signals `names` that were recorded for a case; none where it left no record.
 
     Raises RunFolderError: the file is damaged.
     """
     path = _path(run, case)
     if not path.is_file():
-        return Columns(np.empty(0), {})
+        return Recorded(0, {}, path)
     with _open(path) as file:
-        return _columns(file, [name for name in file.schema_arrow.names if name in names])
+        empty = _columns(file.schema_arrow.empty_table())
+        signals = {name: column for name, column in empty.signals.items() if name in names}
+        return Recorded(file.metadata.num_rows, signals, path)
 
 
-def read_fault_signals(run: Run, case: Case) -> Columns:
+@dataclass(frozen=True)
+class Steps:
+    """A signal that keeps to a value for a while: `column.values`, shape (m,), each from `edges[i]` to `edges[i + 1]`.
+
+    These are the times [s] of the first rows of each stretch, and of the last row of all, shape (m + 1,).
+    """
+
+    edges: Vector
+    column: Column
+
+
+def read_fault_signals(run: Run, case: Case) -> Mapping[str, Steps]:
     """The recorded signals that tell the truth about faults, which their descriptions say; none without a record.
 
     Raises RunFolderError: the file is damaged.
     """
     path = _path(run, case)
     if not path.is_file():
-        return Columns(np.empty(0), {})
+        return {}
     with _open(path) as file:
-        told = {field.name: (field.metadata or {}).get(b"description", b"").decode() for field in file.schema_arrow}
-        return _columns(file, [name for name, text in told.items() if text.startswith(TELLS_FAULTS)])
+        told = _columns(file.schema_arrow.empty_table()).signals
+        signals = {name: one for name, one in told.items() if one.description.startswith(TELLS_FAULTS)}
+        edges: dict[str, list[Vector]] = {name: [np.empty(0)] for name in signals}
+        values: dict[str, list[Vector]] = {name: [np.empty(0)] for name in signals}
+        before, last = dict.fromkeys(signals, np.nan), np.empty(0)
+        for columns in _groups(file, signals) if signals else ():
+            for name, column in columns.signals.items():
+                begins = np.diff(column.values, prepend=before[name]) != 0.0  # so does the first, by NaN
+                edges[name].append(columns.time[begins])
+                values[name].append(column.values[begins])
+                before[name] = column.values[-1]
+            last = columns.time[-1:]
+    return {
+        name: Steps(np.concatenate([*edges[name], last]), replace(column, values=np.concatenate(values[name])))
+        for name, column in signals.items()
+    }
 
 
-def envelope(time: Vector, values: Vector, points: int) -> tuple[Vector, Vector]:
-    """At most about `points` samples that keep every extreme: the least and the greatest of each of points/2 stretches.
+@dataclass(frozen=True)
+class Thinned:
+    """Signals of one case, each over times of its own, and the first and the last time of the `rows` they stand for."""
 
-    The first and the last sample are kept. Up to `points` samples come back as they are.
+    rows: int
+    first: float
+    last: float
+    signals: Mapping[str, tuple[Vector, Column]]
+
+
+def read_thinned(run: Run, case: Case, names: Sequence[str], span: tuple[float, float], points: int) -> Thinned:
+    """The signals `names` of a case within a span of time [s], ends included, thinned to at most about `points`.
+
+    Raises RunFolderError: the case left no record, or the file is damaged. Raises KeyError with the nearest name: a
+    signal was not recorded.
     """
-    if len(time) <= points:
-        return time, values
-    stretches = max(points // 2, 1)
-    edges = np.linspace(0, len(time), stretches + 1).astype(int)
-    keep = {0, len(time) - 1}
-    for start, stop in pairwise(edges):
-        piece = values[start:stop]
-        keep.update((start + int(np.argmin(piece)), start + int(np.argmax(piece))))
-    chosen = np.array(sorted(keep))
-    return time[chosen], values[chosen]
+    with _open_with(run, case, names) as file:
+        rows, first, last = 0, np.nan, np.nan
+        for columns in _groups(file, ()):
+            time = columns.time[(columns.time >= span[0]) & (columns.time <= span[1])]
+            if len(time):
+                first = first if rows else time[0]
+                rows, last = rows + len(time), time[-1]
+        kept = {name: Envelope(rows, points) for name in names}
+        for columns in _groups(file, names):
+            drawn = (columns.time >= span[0]) & (columns.time <= span[1])
+            for name, envelope in kept.items():
+                envelope.add(columns.time[drawn], columns.signals[name].values[drawn])
+        empty = _columns(file.schema_arrow.empty_table()).signals
+    signals = {}
+    for name, envelope in kept.items():
+        times, values = envelope.samples()
+        signals[name] = (times, replace(empty[name], values=values))
+    return Thinned(rows, float(first), float(last), signals)
 
 
 def from_si(values: Vector, unit: str) -> Vector:
@@ -136,15 +190,44 @@ def _path(run: Run, case: Case) -> Path:
 
 def _open(path: Path) -> pq.ParquetFile:
     try:
-        return pq.ParquetFile(path, memory_map=True)
+        return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:
         raise RunFolderError(f"{path}: wants Parquet, got {error}") from error
 
 
-def _columns(file: pq.ParquetFile, names: Sequence[str]) -> Columns:
-    table = file.read(columns=list(dict.fromkeys(["time", *names])), use_threads=False)
-    signals = {name: _column(table, name) for name in table.column_names if name != "time"}
-    return Columns(table.column("time").to_numpy().astype(float), signals)
+def _open_with(run: Run, case: Case, names: Collection[str]) -> pq.ParquetFile:
+    """The record of a case in which all these signals are."""
+    path = _path(run, case)
+    if not path.is_file():
+        raise RunFolderError(f"{path} is missing: case {case.label} ({case.outcome}) left no record")
+    file = _open(path)
+    known = file.schema_arrow.names
+    for name in names:
+        if name not in known:
+            file.close()
+            raise KeyError(unknown(name, known, "recorded signal"))
+    return file
+
+
+def _wanted(names: Collection[str]) -> list[str]:
+    return list(dict.fromkeys(["time", *names]))
+
+
+def _groups(file: pq.ParquetFile, names: Collection[str]) -> Iterator[Columns]:
+    """The signals row group by row group; `iter_batches` would hold all of the file's columns as they are packed."""
+    for group in range(file.num_row_groups):
+        if file.metadata.row_group(group).num_rows:
+            yield _columns(file.read_row_group(group, columns=_wanted(names), use_threads=False))
+
+
+def _columns(table: pa.Table) -> Columns:
+    signals = {name: _column(table, name) for name in table.schema.names if name != "time"}
+    return Columns(_values(table, "time"), signals)
+
+
+def _values(table: pa.Table, name: str) -> Vector:
+    values: Vector = table.column(name).to_numpy().astype(float, copy=False)
+    return values
 
 
 def _column(table: pa.Table, name: str) -> Column:
@@ -153,7 +236,7 @@ def _column(table: pa.Table, name: str) -> Column:
     unit = metadata.get("unit", "1")
     return Column(
         name=name,
-        values=table.column(name).to_numpy().astype(float),
+        values=_values(table, name),
         unit=unit,
         display_unit=metadata.get("display_unit", unit),
         kind=metadata.get("kind", "real"),

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
-
-import numpy as np
 
 from fmus.units import UnitError, parse_quantity, parse_unit
 from reports.definitions import definitions
 from reports.folder import Case, Run, RunFolderError
-from reports.signals import Column, Columns, Vector, read_columns, read_fault_signals, same_dimension
+from reports.signals import Column, Steps, Vector, read_fault_signals, read_thinned, same_dimension
 from reports.standing import observers
 
 # Okabe and Ito's colours (the blue lighter), readable on light and dark and by the colour-blind; the truth is grey.
@@ -26,13 +25,15 @@ COLOURS = (
     "#8C6BB1",
     "#A6761D",
 )
+# Points a trace may have.
+POINTS = 6000
 TRUTH_COLOUR, FAULT_COLOUR = "#808080", "#E69F00"
 DASHES = ("solid", "dash", "dot", "dashdot")
 
 
 @dataclass(frozen=True)
 class Trace:
-    """One line of a panel: values of shape (n,) in the panel's unit over time [s]."""
+    """One line of a panel: values of shape (n,) in the panel's unit over time [s], thinned where they were many."""
 
     name: str
     time: Vector
@@ -64,13 +65,17 @@ class Window:
 
 @dataclass(frozen=True)
 class Figure:
-    """A declared figure with its data; where it cannot be drawn, `problem` says why and there are no panels."""
+    """A declared figure with its data; where it cannot be drawn, `problem` says why and there are no panels.
+
+    `rows` is how many rows of the record its traces stand for.
+    """
 
     title: str
     case: Case | None
     panels: tuple[Panel, ...] = ()
     windows: tuple[Window, ...] = ()
     problem: str = ""
+    rows: int = 0
 
 
 def declared_figures(run: Run) -> list[Figure]:
@@ -95,7 +100,7 @@ def fault_windows(run: Run, case: Case, begin: float, stop: float) -> tuple[Wind
     """When faults act between two times [s]: as recorded, else as the campaign declares and the case overrides them."""
     signals = read_fault_signals(run, case)
     windows = list(_recorded_windows(signals, begin, stop))
-    told = {name.partition(".")[0] for name in signals.signals}
+    told = {name.partition(".")[0] for name in signals}
     for part, spec in (run.campaign.get("parts") or {}).items():
         if part in told:
             continue
@@ -111,15 +116,12 @@ def fault_windows(run: Run, case: Case, begin: float, stop: float) -> tuple[Wind
     return tuple(sorted(windows, key=lambda window: window.since))
 
 
-def _recorded_windows(signals: Columns, begin: float, stop: float) -> Iterator[Window]:
+def _recorded_windows(signals: Mapping[str, Steps], begin: float, stop: float) -> Iterator[Window]:
     """The stretches in which a fault signal stays at one code, each from its first row to the first row after it."""
-    time = signals.time
-    for name, column in signals.signals.items():
-        meanings = dict(item.split(": ", 1) for item in column.description.split("; ")[1:])
-        edges = [0, *(np.flatnonzero(np.diff(column.values)) + 1), len(time)]
-        for first, after in pairwise(edges):
-            code = column.values[first] if first < after else 0.0
-            since, until = (float(time[min(row, len(time) - 1)]) for row in (first, after))
+    for name, steps in signals.items():
+        meanings = dict(item.split(": ", 1) for item in steps.column.description.split("; ")[1:])
+        stretches = zip(pairwise(steps.edges.tolist()), steps.column.values, strict=True)
+        for (since, until), code in stretches:
             if code and since < stop and until > begin:
                 meaning = meanings.get(f"{code:g}", f"fault {code:g}")
                 yield Window(f"{name.partition('.')[0]}: {meaning}", max(since, begin), min(until, stop))
@@ -154,28 +156,24 @@ def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
             problem=f"no case of {experiment or 'the campaign'} left a record ({len(cases)} declared)",
         )
     groups = [[group] if isinstance(group, str) else list(group) for group in entry.get("traces") or ()]
+    begin, end = _si(entry.get("from"), "s"), _si(entry.get("to"), "s")
+    span = (-math.inf if begin is None else begin, math.inf if end is None else end)
     try:
-        columns = read_columns(run, case, [name for group in groups for name in group])
+        thinned = read_thinned(run, case, [name for group in groups for name in group], span, POINTS)
     except (KeyError, RunFolderError) as error:
         return Figure(title, case, problem=str(error.args[0]))
-    begin, end = _si(entry.get("from"), "s"), _si(entry.get("to"), "s")
-    drawn = np.ones(len(columns.time), dtype=bool)
-    drawn &= columns.time >= (-np.inf if begin is None else begin)
-    drawn &= columns.time <= (np.inf if end is None else end)
-    if not drawn.any():
+    if not thinned.rows:
         return Figure(title, case, problem=f"the record of {case.label} ({case.outcome}) has no rows to draw")
-    time = columns.time[drawn]
-    signals = {name: replace(column, values=column.values[drawn]) for name, column in columns.signals.items()}
     unit = str(entry.get("unit") or "")
-    panels = [_panel(run, group, time, signals, entry.get("lines") or {}, unit) for group in groups]
-    return Figure(title, case, tuple(panels), fault_windows(run, case, float(time[0]), float(time[-1])))
+    panels = [_panel(run, group, thinned.signals, entry.get("lines") or {}, unit) for group in groups]
+    windows = fault_windows(run, case, thinned.first, thinned.last)
+    return Figure(title, case, tuple(panels), windows, rows=thinned.rows)
 
 
 def _panel(
     run: Run,
     names: Sequence[str],
-    time: Vector,
-    signals: Mapping[str, Column],
+    signals: Mapping[str, tuple[Vector, Column]],
     lines: Mapping[str, str],
     unit: str,
 ) -> Panel:
@@ -185,7 +183,7 @@ def _panel(
     traces: list[Trace] = []
     drawn: dict[str, int] = {}
     for name in names:
-        part, column = name.split(".")[0], signals[name]
+        part, (time, column) = name.split(".")[0], signals[name]
         is_truth = name in truths and part not in colours
         colour = TRUTH_COLOUR if is_truth else colours.get(part) or spare[len(traces) % len(spare)]
         dash = DASHES[drawn.get(colour, 0) % len(DASHES)]

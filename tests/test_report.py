@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 from test_report_folder import CRITERIA, METRICS, REPORT, build_run
 
+from reports.envelope import envelope
 from reports.errors import pool
 from reports.folder import read_run
 from reports.html import write_report
 from reports.interactive import interactive
 from reports.numbers import short, with_unit
 from reports.provenance import ranges
-from reports.signals import envelope
 from reports.standing import leaderboard, quantities, standing, unit_of
 from reports.traces import declared_figures
 

@@ -13,7 +13,8 @@ from fmus.component import Signal
 from harness.definitions import Definition, measure
 from harness.quantity import read_measure
 from harness.record import Record, write_signals
-from harness.stored import ROWS_A_PIECE, StoredRecord
+from harness.signalsfile import GROUP
+from harness.stored import StoredRecord
 from harness.window import window
 
 
@@ -21,6 +22,9 @@ def rows(recorded, after=None, until=None, angle=None):
     """The numbers of the rows in a window."""
     edges = [read_measure(edge) if edge is not None else None for edge in (after, until)]
     return list(range(len(recorded.time)))[window(recorded, *edges, angle).rows]
+
+
+ROWS_A_GROUP = GROUP.of(4)
 
 
 def turning(crank):
@@ -123,8 +127,8 @@ def stored(path: Path, count: int) -> StoredRecord:
     """A file with plant.x = 0, observer.x = 2 and another column, of `count` rows in row groups."""
     schema = pa.schema([pa.field(name, pa.float64()) for name in ("time", "plant.x", "observer.x", "plant.other")])
     with pq.ParquetWriter(path, schema) as file:
-        for first in range(0, count, ROWS_A_PIECE):
-            time = 1e-3 * np.arange(first, min(first + ROWS_A_PIECE, count))
+        for first in range(0, count, ROWS_A_GROUP):
+            time = 1e-3 * np.arange(first, min(first + ROWS_A_GROUP, count))
             columns = [time, np.zeros(len(time)), np.full(len(time), 2.0), time]
             file.write_table(pa.Table.from_arrays([pa.array(column) for column in columns], schema=schema))
     return StoredRecord(path)
@@ -132,7 +136,7 @@ def stored(path: Path, count: int) -> StoredRecord:
 
 @pytest.mark.parametrize(("window", "arrays"), [({}, 3), ({"after": "10 s"}, 3)])
 def test_an_rmse_of_a_stored_record_holds_no_more_than_three_columns_at_a_time(tmp_path, window, arrays):
-    count = 10 * ROWS_A_PIECE
+    count = 10 * ROWS_A_GROUP
     recorded = stored(tmp_path / "signals.parquet", count)
     definition = {"m": Definition.model_validate({"rmse": ["plant.x", "observer.x"], **window})}
     measure(definition, recorded, "")
@@ -141,7 +145,7 @@ def test_an_rmse_of_a_stored_record_holds_no_more_than_three_columns_at_a_time(t
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert values["m"].value == 2.0
-    # Truth, estimate and their difference; a column is unpacked outside of Python's memory, a piece at a time.
+    # Truth, estimate and their difference; a column is unpacked outside of Python's memory, a row group at a time.
     assert peak < (arrays + 0.1) * 8 * count
 
 
