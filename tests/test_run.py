@@ -417,7 +417,7 @@ def test_an_interrupt_amid_callbacks_is_not_lost(handler: Any) -> None:
     before = signal.signal(signal.SIGINT, handler)
     try:
         for delay in (0.02, 0.05, 0.1):
-            with interrupted_after(delay), pytest.raises(KeyboardInterrupt):
+            with pytest.raises(KeyboardInterrupt), interrupted_after(delay):
                 run(wired)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -429,7 +429,7 @@ def test_an_interrupt_during_native_steps_comes_through_at_once() -> None:
     noisy = {"use": "sensor", "of": "source", "noise": {"std": 1}}
     wired = system({"source": sine, "noisy": noisy}, "1 us", "100 s", record=[])
     began = time.perf_counter()
-    with interrupted_after(0.3), pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt), interrupted_after(0.3):
         run(wired)
     assert time.perf_counter() - began < 2.0  # 0.3 s and a piece or two; the whole takes about 5 s
 
