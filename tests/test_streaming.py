@@ -171,6 +171,14 @@ def test_every_row_up_to_a_fault_is_kept(tmp_path: Path, fate: str, outcome: str
     assert list((tmp_path / "run").rglob(".*")) == []
 
 
+@pytest.mark.parametrize(("at", "kept"), [(5, 0), (40, 32)])
+def test_rows_that_a_lost_worker_cannot_have_written_are_not_believed(tmp_path: Path, at: int, kept: int) -> None:
+    asked = campaign(tmp_path, f"[none, 0], [lie, {at}]")
+    execute_all(asked, tmp_path / "run")
+    assert told(tmp_path / "run", asked, 1)["outcome"] == "crash"
+    assert holds_rows(stored(tmp_path / "run", asked, 1), whole(asked), kept)
+
+
 @pytest.mark.parametrize("clock", [TIME, CRANK.replace("STOP", "0.4 s")])
 def test_every_row_before_a_hang_is_kept(tmp_path: Path, clock: str) -> None:
     asked = campaign(tmp_path, "[none, 0], [hang, 40]", clock=clock)
