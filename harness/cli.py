@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import sys
@@ -33,6 +34,9 @@ from harness.surveying import as_json as survey_json
 # FAILED is a case or a criterion, MISUSED usage or configuration.
 FINE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 
+# What the system says of a disk that takes no more.
+UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+
 app = typer.Typer(
     help="Test observers against plants that are FMUs.",
     no_args_is_help=True,
@@ -58,6 +62,11 @@ def main() -> None:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
+    except OSError as error:
+        if error.errno not in UNWRITABLE:
+            raise
+        print(error, file=sys.stderr)
+        sys.exit(FAILED)
     except SystemExit as ended:
         # Typer makes an exit with 1 of an interrupt that reaches it.
         if not isinstance(ended.__context__, typer.Abort):

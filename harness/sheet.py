@@ -57,6 +57,10 @@ class Sheet:
         os.ftruncate(self._file, HEAD + 8 * count * columns)
         return self.rows(count, columns)
 
+    def capacity(self, columns: int) -> int:
+        """How many rows there is memory for."""
+        return max(os.fstat(self._file).st_size - HEAD, 0) // (8 * columns)
+
     def rows(self, count: int, columns: int) -> NDArray[np.float64]:
         """The first rows as they stand there now, shape (count, columns)."""
         if not count * columns:

@@ -150,7 +150,7 @@ class Intake:
 
     def believed(self, told: Told, rows: int) -> int:
         """So many rows, where a lost worker can have got there; else those that are written."""
-        most = self.written if self.complete else self.written + ROOMS * told.room
+        most = self.written if self.complete else self.written + self._worker.capacity(told.columns)
         return rows if self.written <= rows <= most else self.written
 
     def salvage(self, told: Told, rows: int) -> None:

@@ -207,6 +207,10 @@ class Worker:
         """The first rows in the memory that the last call wrote to, shape (count, columns)."""
         return self._sheet.rows(count, columns)
 
+    def capacity(self, columns: int) -> int:
+        """How many rows that memory has room for."""
+        return self._sheet.capacity(columns)
+
     def close(self) -> None:
         """End the process and all it started; the next call gets a fresh one."""
         if self._process is None:

@@ -9,6 +9,7 @@ import time
 import numpy as np
 
 from fmus.component import Native, Role, Signal, Vector
+from fmus.whereabouts import here
 
 SPEED = 100.0  # rad/s
 
@@ -38,6 +39,9 @@ class Fateful:
 
     def _meet(self) -> None:
         if self._fate == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if self._fate == "lie":
+            here().instant += 50
             os.kill(os.getpid(), signal.SIGKILL)
         if self._fate == "exit":
             os._exit(7)

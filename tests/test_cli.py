@@ -1,5 +1,6 @@
 """The command line: exit codes, what is printed where, and that nothing is written on bad input."""
 
+import errno
 import json
 import os
 import subprocess
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from harness import runfolder
 from harness.cli import main, schema_text
 
 CAMPAIGN = """\
@@ -67,6 +69,16 @@ def test_an_impossible_bound_ends_with_1_and_still_writes_the_report(crankbench,
     assert code == 1
     assert "FAIL  error < 1e-9 N.m  (0." in out
     assert Path(out.splitlines()[-1]).is_file()
+
+
+def test_a_disk_that_takes_nothing_more_ends_with_1_and_the_name_of_the_file(crankbench, small, tmp_path, monkeypatch):
+    def full(path, content):
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(runfolder, "write_whole", full)
+    code, _, err = crankbench("run", small, "--out", tmp_path / "run")
+    assert code == 1
+    assert err == f"[Errno {errno.ENOSPC}] No space left on device: '{tmp_path / 'run' / 'campaign.json'}'\n"
 
 
 def test_the_folder_of_a_run_has_the_name_of_its_campaign_where_none_is_given(crankbench, small, tmp_path, monkeypatch):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ import pytest
 from fmus.component import ConfigurationError, Signal
 from harness.cli import main
 from harness.record import Record, write_signals
-from harness.recordexport import Units, export
-from harness.signalsfile import GroupSize
+from harness.recordexport import Format, Units, export
+from harness.signalsfile import GroupSize, si_unit
+from harness.tablefile import open_table
 
 SIGNALS = (
     Signal("plant.speed", "rpm", description="of the crankshaft"),
@@ -110,6 +112,18 @@ def test_a_record_without_rows_is_a_file_without_rows(tmp_path: Path) -> None:
     (path,) = export(tmp_path, "mdf4", None, "si")
     with asammdf.MDF(path) as file:
         assert len(file.get("plant.speed").samples) == 0
+
+
+@pytest.mark.parametrize("form", ["csv", "mdf4"])
+def test_an_exported_record_comes_in_again_as_recorded_data(folder: Path, form: Format) -> None:
+    pytest.importorskip("asammdf")
+    (path,) = export(folder / "cases" / "one", form, None, "si")
+    with closing(open_table(path)) as table:
+        for signal in SIGNALS:
+            column = table.column(signal.name)
+            assert np.array_equal(column.values, record()[signal.name])
+            assert np.array_equal(table.time(None, signal.name).values, record().time)
+            assert column.unit in (si_unit(signal.unit), "")
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_report_folder import build_run
 
+from fmus.component import Signal
+from harness.record import Record, write_signals
+from harness.signalsfile import GroupSize
 from reports import errors
 from reports.envelope import Envelope, envelope
 from reports.errors import pool
-from reports.folder import read_run
+from reports.folder import Case, Run, read_run
 from reports.html import render
+from reports.signals import TELLS_FAULTS, read_fault_signals
 from reports.traces import POINTS, declared_figures
 
 
@@ -99,3 +104,18 @@ def test_a_trace_of_many_rows_is_thinned_and_says_of_how_many(tmp_path: Path) ->
     expected = plainly_thinned(whole.index.to_numpy(), whole.to_numpy(), POINTS)
     assert np.array_equal((trace.time, trace.values), expected)
     assert f"thinned from {figure.rows} to about" in render(run)
+
+
+@given(codes=st.lists(st.integers(0, 2), min_size=1, max_size=40), rows=st.integers(1, 9))
+def test_a_fault_signal_is_read_as_the_stretches_in_which_it_keeps_its_code(codes: list[int], rows: int) -> None:
+    signal = Signal("gauge.fault", kind="integer", description=f"{TELLS_FAULTS}; 1: bias; 2: gain")
+    time = np.arange(len(codes)) * 0.1
+    case = Case("key", "as declared")
+    with tempfile.TemporaryDirectory() as folder:
+        run = Run(Path(folder), {}, (case,), None)
+        path = run.path / "cases" / case.key / "signals.parquet"
+        write_signals(Record((signal,), time, np.array(codes, dtype=float)[:, None]), path, GroupSize(0, rows))
+        (steps,) = read_fault_signals(run, case).values()
+    firsts = [row for row, code in enumerate(codes) if row == 0 or codes[row - 1] != code]
+    assert steps.column.values.tolist() == [codes[row] for row in firsts]
+    assert steps.edges.tolist() == [*time[firsts], time[-1]]
