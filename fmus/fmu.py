@@ -307,9 +307,8 @@ def _plan_starts(
             settable = [s for s, v in owners.items() if v.settable]
             problems.append(Problem(unknown(scalar, settable, f"variable of {name}")))
             continue
-        text = isinstance(value, str)
         given[scalar] = value if isinstance(value, str) else (variable.quantity or Unit()).from_si(value)
-        wrong = _text_refusal(variable) if text else _refusal(variable, float(given[scalar]))
+        wrong = start_refusal(variable, given[scalar])
         if wrong:
             problems.append(Problem(f"{name}.{scalar} {wrong}"))
     if problems:
@@ -328,6 +327,11 @@ def _plan_starts(
         if scalar in given and variable.causality == "input" and variable.on_bus
     }
     return inputs, plan
+
+
+def start_refusal(variable: Variable, value: float | str) -> str:
+    """What is wrong with text, or with a number in the variable's own unit, as its start value; empty where nothing."""
+    return _text_refusal(variable) if isinstance(value, str) else _refusal(variable, value)
 
 
 def _text_refusal(variable: Variable) -> str:

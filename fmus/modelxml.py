@@ -83,6 +83,15 @@ def checked_description(folder: Path) -> None:
         raise ConfigurationError([Problem(f"modelDescription.xml: {problem}") for problem in (*told, *more)])
 
 
+def checked_xml(file: Path, name: str) -> None:
+    """Nothing, where a tree may be built of the XML in `file`, which messages call `name`.
+
+    Read event by event, so that neither depth, size nor entities cost anything. Raises ConfigurationError: what is no
+    XML, a document type, and with it every entity, too many elements or too deep ones.
+    """
+    _Reader(name).read(file)
+
+
 class _Reader:
     """Reads one XML file event by event, and notes of a model description what identifies it and its variables."""
 

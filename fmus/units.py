@@ -88,6 +88,7 @@ _SI_NAMES |= {
     _unit(kg=1, m=2, s=-1, rad=-1).exponents: "N.m.s/rad",
     _unit(kg=1, m=2, s=-2, rad=-2).exponents: "N.m/rad2",
 }
+_ROUNDED = 1e-5
 _TERM = re.compile(r"(?P<symbol>%|1|[A-Za-z]+)(?:\^?(?P<power>[+-]?\d+))?$")
 
 
@@ -132,6 +133,23 @@ def parse_unit(text: str) -> Unit:
         factor *= unit.factor**power
         offset = unit.offset
     return Unit(tuple(exponents), factor, offset)
+
+
+def spelling(unit: Unit, name: str = "") -> str | None:
+    """How this language writes a unit: `name` where that means it, else the shortest known; None where it cannot.
+
+    A factor that agrees to five digits counts, since other tools write theirs with few.
+    """
+    prefixed = [prefix + symbol for prefix in _PREFIXES for symbol in sorted(_PREFIXED)]
+    for text in (name, unit.si_name(), *_SYMBOLS, *prefixed):
+        try:
+            known = parse_unit(text)
+        except UnitError:
+            continue
+        alike = unit.same_dimension(known) and math.isclose(unit.factor, known.factor, rel_tol=_ROUNDED)
+        if text and alike and math.isclose(unit.offset, known.offset, rel_tol=_ROUNDED):
+            return text
+    return None
 
 
 def convert(value: float, from_unit: str, to_unit: str) -> float:

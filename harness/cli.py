@@ -28,6 +28,8 @@ from harness.progress import progress
 from harness.recordexport import Format, Units
 from harness.recordexport import export as export_records
 from harness.runfolder import plain
+from harness.ssp.command import app as ssp
+from harness.ssp.command import campaign_of
 from harness.surveying import Manner, keep, survey
 from harness.surveying import as_json as survey_json
 
@@ -44,6 +46,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+app.add_typer(ssp, name="ssp")
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Tier = Annotated[
@@ -96,7 +100,7 @@ def campaigns(as_json: Json = False) -> None:
 
 @app.command()
 def run(
-    campaign: Annotated[str, typer.Argument(help="A campaign file, or the name of a built-in campaign.")],
+    campaign: Annotated[str, typer.Argument(help="A campaign file, an .ssp, or the name of a built-in campaign.")],
     out: Annotated[Path | None, typer.Option(help="Run folder; runs/NAME where not given.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Cases at a time.")] = os.cpu_count() or 1,
     fresh: Annotated[bool, typer.Option("--fresh", help="Run finished cases again.")] = False,
@@ -106,7 +110,8 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Run a campaign, or what is left of it, and write its report."""
-    asked = read_campaign(find_campaign(campaign), override or [])
+    file = campaign_of(campaign) if campaign.endswith(".ssp") else find_campaign(campaign)
+    asked = read_campaign(file, override or [])
     folder = out if out is not None else Path("runs") / asked.name
     if folder.exists() and not folder.is_dir():
         raise ConfigurationError(f"--out wants a folder, got the file {folder}")

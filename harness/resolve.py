@@ -30,10 +30,11 @@ SOLVER = (Signal("solver.method"), Signal("solver.step", "s"), Signal("solver.to
 
 
 class Resolved(NamedTuple):
-    """A component and the settings it was made with, in SI, by variable or argument name."""
+    """A component and the settings it was made with, in SI, by variable or argument name; its model, if it has one."""
 
     component: Component
     settings: Mapping[str, float]
+    model: Model | None = None
 
 
 def resolve(
@@ -157,7 +158,7 @@ def _from_model(
     except ModelError as error:
         found.at("use").tell(f"{part}: {error}")
         return None
-    return Resolved(component, starts)
+    return Resolved(component, starts, model)
 
 
 def _samples_on_steps(model: Model, starts: Mapping[str, float], step: float, found: Findings) -> bool:
@@ -211,7 +212,7 @@ def _made(make: Callable[..., Any], spec: ModelPart, part: str, step: float, fou
     numbers = {name: float(value) for name, value in arguments.items() if isinstance(value, (int, float))}
     if isinstance(made, Model):
         resolved = _from_model(made, spec, part, {}, step, found)
-        return resolved and Resolved(resolved.component, {**numbers, **resolved.settings})
+        return resolved and resolved._replace(settings={**numbers, **resolved.settings})
     if not isinstance(made, Component):
         found.at("use").add(f"wants make to return a Model or a Component, got {type(made).__name__}")
         return None
