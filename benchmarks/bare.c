@@ -6,22 +6,31 @@
 
 typedef struct {
     void *instance;
-    int (*set_real)(void *, const uint32_t *, size_t, const double *);
     int (*do_step)(void *, double, double, int);
+    int (*set_real)(void *, const uint32_t *, size_t, const double *);
+    int (*set_integer)(void *, const uint32_t *, size_t, const int *);
+    int (*set_boolean)(void *, const uint32_t *, size_t, const int *);
     int (*get_real)(void *, const uint32_t *, size_t, double *);
     int (*get_integer)(void *, const uint32_t *, size_t, int *);
-    const uint32_t *inputs, *outputs, *integers;
-    size_t n_inputs, n_outputs, n_integers;
+    int (*get_boolean)(void *, const uint32_t *, size_t, int *);
+    const uint32_t *reals_in, *integers_in, *booleans_in, *reals, *integers, *booleans;
+    size_t n_reals_in, n_integers_in, n_booleans_in, n_reals, n_integers, n_booleans;
 } Fmu;
 
 typedef int (*Step)(void *self, double t, double h, const double *u, double *y);
 
+/* The platform's own step functions of the source and the sensor, whose work is not the loop's. */
+typedef struct {
+    Step step;
+    void *self;
+} Native;
+
 /* A row: theta_e, omega_c, omega_p, y in rpm, location. */
 EXPORT int step_driveline_fmu(const Fmu *plant, int64_t steps, double h, const double *torque, double *rows) {
     for (int64_t k = 0; k < steps; k++, rows += 5) {
-        int location, status = plant->set_real(plant->instance, plant->inputs, 1, &torque[k]);
+        int location, status = plant->set_real(plant->instance, plant->reals_in, 1, &torque[k]);
         status |= plant->do_step(plant->instance, (double)k * h, h, 1);
-        status |= plant->get_real(plant->instance, plant->outputs, 4, rows);
+        status |= plant->get_real(plant->instance, plant->reals, 4, rows);
         status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
         if (status) return status;
         rows[4] = location;
@@ -37,30 +46,118 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
     return 0;
 }
 
-/* Source, plant, sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, y in rad/s, location, the sensor's
- * value, the observer's three estimates and its location. Source and sensor are the platform's own step functions. */
-EXPORT int run_bare(const Fmu *plant, const Fmu *observer, Step source, void *source_self, Step sensor,
-                    void *sensor_self, int64_t steps, double h, double rpm, double *rows) {
-    for (int64_t k = 0; k < steps; k++) {
+/* Source, plant and sensor of y: the first seven of a row are torque, theta_e, omega_c, omega_p, y in rad/s, location,
+ * the sensor's value. */
+static inline int measured_driveline(const Fmu *plant, const Native *source, const Native *sensor, double t, double h,
+                                     double rpm, double *row) {
+    int location, status = source->step(source->self, t, h, NULL, row);
+    status |= plant->set_real(plant->instance, plant->reals_in, 1, row);
+    status |= plant->do_step(plant->instance, t, h, 1);
+    status |= plant->get_real(plant->instance, plant->reals, 4, row + 1);
+    status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
+    row[4] = rpm * row[4];
+    row[5] = location;
+    return status | sensor->step(sensor->self, t, h, row + 4, row + 6);
+}
+
+/* Plant and observer, source and sensor. A row goes on with the observer's three estimates and its location. */
+EXPORT int run_luenberger(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
+    const Fmu plant = fmus[0], observer = fmus[1];
+    for (int64_t k = 0; k < steps; k++, rows += 11) {
         const double t = (double)k * h;
-        double *row = rows + 12 * k, measured[2];
-        int location, status;
-        *row++ = (double)(k + 1) * h;
-        status = source(source_self, t, h, NULL, row);
-        status |= plant->set_real(plant->instance, plant->inputs, 1, row);
-        status |= plant->do_step(plant->instance, t, h, 1);
-        status |= plant->get_real(plant->instance, plant->outputs, 4, row + 1);
-        status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
-        row[4] = rpm * row[4];
-        row[5] = location;
-        status |= sensor(sensor_self, t, h, row + 4, row + 6);
-        measured[0] = row[6] / rpm;
-        measured[1] = row[0];
-        status |= observer->set_real(observer->instance, observer->inputs, 2, measured);
-        status |= observer->do_step(observer->instance, t, h, 1);
-        status |= observer->get_real(observer->instance, observer->outputs, 3, row + 7);
-        status |= observer->get_integer(observer->instance, observer->integers, 1, &location);
-        row[10] = location;
+        int location, status = measured_driveline(&plant, &natives[0], &natives[1], t, h, rpm, rows);
+        const double measured[2] = {rows[6] / rpm, rows[0]};
+        status |= observer.set_real(observer.instance, observer.reals_in, 2, measured);
+        status |= observer.do_step(observer.instance, t, h, 1);
+        status |= observer.get_real(observer.instance, observer.reals, 3, rows + 7);
+        status |= observer.get_integer(observer.instance, observer.integers, 1, &location);
+        rows[10] = location;
+        if (status) return status;
+    }
+    return 0;
+}
+
+/* As above. A row goes on with the observer's three estimates, its location, r_3 and sigma_3, r_2 and sigma_2, and four
+ * bounds. */
+EXPORT int run_hybrid(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
+    const Fmu plant = fmus[0], observer = fmus[1];
+    for (int64_t k = 0; k < steps; k++, rows += 19) {
+        const double t = (double)k * h;
+        int location, signatures[2], status = measured_driveline(&plant, &natives[0], &natives[1], t, h, rpm, rows);
+        const double measured[2] = {rows[6] / rpm, rows[0]};
+        double got[9];
+        status |= observer.set_real(observer.instance, observer.reals_in, 2, measured);
+        status |= observer.do_step(observer.instance, t, h, 1);
+        status |= observer.get_real(observer.instance, observer.reals, 9, got);
+        status |= observer.get_integer(observer.instance, observer.integers, 1, &location);
+        status |= observer.get_boolean(observer.instance, observer.booleans, 2, signatures);
+        rows[7] = got[0], rows[8] = got[1], rows[9] = got[2];
+        rows[10] = location;
+        rows[11] = rpm * got[3], rows[12] = signatures[0];
+        rows[13] = rpm * got[4], rows[14] = signatures[1];
+        rows[15] = got[5], rows[16] = got[6], rows[17] = got[7], rows[18] = got[8];
+        if (status) return status;
+    }
+    return 0;
+}
+
+/* The Van der Pol oscillator alone. A row: its two outputs. */
+EXPORT int run_oscillator(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
+    const Fmu oscillator = fmus[0];
+    (void)natives;
+    (void)rpm;
+    for (int64_t k = 0; k < steps; k++, rows += 2) {
+        int status = oscillator.do_step(oscillator.instance, (double)k * h, h, 1);
+        status |= oscillator.get_real(oscillator.instance, oscillator.reals, 2, rows);
+        if (status) return status;
+    }
+    return 0;
+}
+
+static inline int step_feedthrough(const Fmu *fmu, double t, double h, const double *reals, int *integer, int *boolean,
+                                   double *row) {
+    int status = fmu->set_real(fmu->instance, fmu->reals_in, 2, reals);
+    status |= fmu->set_integer(fmu->instance, fmu->integers_in, 1, integer);
+    status |= fmu->set_boolean(fmu->instance, fmu->booleans_in, 1, boolean);
+    status |= fmu->do_step(fmu->instance, t, h, 1);
+    status |= fmu->get_real(fmu->instance, fmu->reals, 2, row);
+    status |= fmu->get_integer(fmu->instance, fmu->integers, 1, integer);
+    status |= fmu->get_boolean(fmu->instance, fmu->booleans, 1, boolean);
+    row[2] = *integer;
+    row[3] = *boolean;
+    return status;
+}
+
+/* A source into all four inputs of one Feedthrough, whose outputs go into another. A row: the source's value, and two
+ * reals, an integer and a boolean of each. */
+EXPORT int run_feedthroughs(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
+    const Fmu first = fmus[0], second = fmus[1];
+    (void)rpm;
+    for (int64_t k = 0; k < steps; k++, rows += 9) {
+        const double t = (double)k * h;
+        int status = natives[0].step(natives[0].self, t, h, NULL, rows);
+        const double both[2] = {rows[0], rows[0]};
+        int integer = (int)rows[0], boolean = rows[0] != 0.0;
+        status |= step_feedthrough(&first, t, h, both, &integer, &boolean, rows + 1);
+        status |= step_feedthrough(&second, t, h, rows + 1, &integer, &boolean, rows + 5);
+        if (status) return status;
+    }
+    return 0;
+}
+
+/* A source into a chain of FMUs, each with one real input, the first output of the one before, and some real outputs.
+ * A row: the source's value, and the outputs of each. */
+EXPORT int run_chain(const Fmu *fmus, int64_t count, const Native *source, int64_t steps, double h, double *rows) {
+    for (int64_t k = 0; k < steps; k++) {
+        const double t = (double)k * h, *u = rows;
+        int status = source->step(source->self, t, h, NULL, rows++);
+        for (const Fmu *fmu = fmus, *end = fmus + count; fmu < end; fmu++) {
+            status |= fmu->set_real(fmu->instance, fmu->reals_in, 1, u);
+            status |= fmu->do_step(fmu->instance, t, h, 1);
+            status |= fmu->get_real(fmu->instance, fmu->reals, fmu->n_reals, rows);
+            u = rows;
+            rows += fmu->n_reals;
+        }
         if (status) return status;
     }
     return 0;

@@ -7,15 +7,14 @@ import time
 
 import numpy as np
 
-from benchmarks.direct import DirectFmu
+from benchmarks.direct import DirectFmu, Fmu
 from benchmarks.exported import OUTPUTS, STEP, bare_library
 from benchmarks.measure import Measure, side_by_side
+from benchmarks.ours import OurLoop
 from fmus.export import cached_fmu
 from fmus.plants import driveline
 from fmus.units import parse_unit
-from harness.run import StartedSystem, run
-from harness.scenario import Scenario
-from harness.wiring import System, wire
+from harness.run import run
 from observers import luenberger
 
 ESTIMATES = ("theta_e", "omega_c", "omega_p")
@@ -23,32 +22,22 @@ TORQUE = -10.0  # N.m
 JUMP = 2000  # the step from which the torque acts
 DEMANDS = {"delay": "10 ms", "dwell": "100 ms", "rate": "5 1/s"}
 RPM = parse_unit("rpm").factor
-COLUMNS = 11
-ROW = 1 + COLUMNS  # time and signals
 
 
-def plant_and_two_native_parts(steps: int) -> System:
+def plant_and_two_native_parts(steps: int) -> OurLoop:
     """Source, driveline, identity sensor and observer; all their signals are recorded."""
-    scenario = Scenario.model_validate(
-        {
-            "clock": {"time": {"step": f"{STEP} s", "stop": f"{steps * STEP} s"}},
-            "parts": {
-                "torque": {
-                    "use": "source",
-                    "unit": "N.m",
-                    "step": {"at": f"{JUMP * STEP} s", "from": "0 N.m", "to": f"{TORQUE} N.m"},
-                },
-                "plant": {"use": "fmus.plants.driveline", "wires": {"T_eng": "torque"}},
-                "encoder": {"use": "sensor", "of": "plant.y"},
-                "observer": {
-                    "use": "observers.luenberger",
-                    "with": {"plant": "fmus.plants.driveline", "location": 2, **DEMANDS},
-                    "wires": {"T_eng": "torque", "y": "encoder"},
-                },
-            },
-        }
-    )
-    return wire(scenario)
+    step = {"at": f"{JUMP * STEP} s", "from": "0 N.m", "to": f"{TORQUE} N.m"}
+    parts = {
+        "torque": {"use": "source", "unit": "N.m", "step": step},
+        "plant": {"use": "fmus.plants.driveline", "wires": {"T_eng": "torque"}},
+        "encoder": {"use": "sensor", "of": "plant.y"},
+        "observer": {
+            "use": "observers.luenberger",
+            "with": {"plant": "fmus.plants.driveline", "location": 2, **DEMANDS},
+            "wires": {"T_eng": "torque", "y": "encoder"},
+        },
+    }
+    return OurLoop(parts, STEP, steps)
 
 
 def beside_bare_c(steps: int = 20_000, rounds: int = 100) -> Measure:
@@ -60,38 +49,27 @@ def beside_bare_c(steps: int = 20_000, rounds: int = 100) -> Measure:
 
     Raises RuntimeError: the rows of the two are not equal bit for bit.
     """
-    ours_rows, peer_rows = np.empty((steps, ROW)), np.empty((steps, ROW))
-    plant, observer = _direct_fmus()
+    fmus = _direct_fmus()
     bare = bare_library()
-    with plant_and_two_native_parts(steps) as system:
-
-        def ours() -> float:
-            started = StartedSystem(system)
-            begin = time.process_time()
-            reached = started.advance(0, steps, ours_rows)
-            elapsed = time.process_time() - begin
-            if reached != steps:
-                raise RuntimeError(f"the loop ended at instant {reached}: {started.failure}")
-            return elapsed / steps
+    with plant_and_two_native_parts(steps) as ours:
+        peer_rows = np.empty_like(ours.rows)
 
         def peer() -> float:
-            tables = (plant.start().for_c(), observer.start().for_c())
-            StartedSystem(system)  # starts source and sensor anew
-            steps_of = {slot.name: slot.component.native() for slot in system.parts}
-            natives = [ctypes.c_void_p(number) for name in ("torque", "encoder") for number in steps_of[name] or ()]
+            tables = (Fmu * 2)(*(fmu.start().for_c() for fmu in fmus))
+            natives = ours.natives(("torque", "encoder"))
             numbers = (ctypes.c_int64(steps), ctypes.c_double(STEP), ctypes.c_double(RPM))
             rows = ctypes.c_void_p(peer_rows.ctypes.data)
             begin = time.process_time()
-            status = bare.run_bare(*(ctypes.byref(table) for table in tables), *natives, *numbers, rows)
+            status = bare.run_luenberger(tables, natives, *numbers, rows)
             elapsed = time.process_time() - begin
             if status:
                 raise RuntimeError(f"the bare loop ended in the status {status}")
             return elapsed / steps
 
         times = side_by_side(ours, peer, rounds)
-    _check_equal("the bare loop", ours_rows, peer_rows)
-    plant.close()
-    observer.close()
+        check_equal("the bare loop", ours.rows, peer_rows)
+    for fmu in fmus:
+        fmu.close()
     return Measure("loop, plant and two native parts", *times, "bare C loop, same parts", 1.15)
 
 
@@ -100,13 +78,13 @@ def beside_fmpy(steps: int = 10_000, rounds: int = 5) -> Measure:
 
     Raises RuntimeError: the rows of the two are not equal bit for bit.
     """
-    rows = {"ours": np.empty(0), "peer": np.empty((steps, COLUMNS))}
     plant, observer = _direct_fmus()
-    with plant_and_two_native_parts(steps) as system:
+    with plant_and_two_native_parts(steps) as loop:
+        rows = {"ours": loop.rows, "peer": np.empty_like(loop.rows)}
 
         def ours() -> float:
             begin = time.process_time()
-            record = run(system)
+            record = run(loop.system)
             elapsed = time.process_time() - begin
             if record.outcome != "ok":
                 raise RuntimeError(f"{record.outcome}: {record.message}")
@@ -119,35 +97,36 @@ def beside_fmpy(steps: int = 10_000, rounds: int = 5) -> Measure:
             return (time.process_time() - begin) / steps
 
         times = side_by_side(ours, peer, rounds)
-    _check_equal("the loop through FMPy", rows["ours"], rows["peer"])
+    check_equal("the loop through FMPy", rows["ours"], rows["peer"])
     plant.close()
     observer.close()
     return Measure("loop, plant and two native parts", *times, "FMPy's calls, same FMUs", 1 / 10)
 
 
 def _direct_fmus() -> tuple[DirectFmu, DirectFmu]:
-    plant = DirectFmu(cached_fmu(driveline.MODEL), ("T_eng",), OUTPUTS, ("location",))
+    plant = DirectFmu(cached_fmu(driveline.MODEL), ("T_eng",), (*OUTPUTS, "location"))
     observer = luenberger.make("fmus.plants.driveline", location=2, delay=10e-3, dwell=0.1, rate=5.0)
-    return plant, DirectFmu(cached_fmu(observer), ("y", "T_eng"), ESTIMATES, ("location",))
+    return plant, DirectFmu(cached_fmu(observer), ("y", "T_eng"), (*ESTIMATES, "location"))
 
 
 def _step_through_fmpy(plant: DirectFmu, observer: DirectFmu, rows: np.ndarray) -> None:
     for k in range(len(rows)):
         t = k * STEP
         torque = TORQUE if k >= JUMP else 0.0
-        plant.slave.setReal(plant.inputs, [torque])
+        plant.slave.setReal(plant.reals_in, [torque])
         plant.slave.doStep(t, STEP)
-        theta_e, omega_c, omega_p, y = plant.slave.getReal(plant.outputs)
+        theta_e, omega_c, omega_p, y = plant.slave.getReal(plant.reals)
         (location,) = plant.slave.getInteger(plant.integers)
         y = RPM * y
-        observer.slave.setReal(observer.inputs, [y / RPM, torque])
+        observer.slave.setReal(observer.reals_in, [y / RPM, torque])
         observer.slave.doStep(t, STEP)
-        estimates = observer.slave.getReal(observer.outputs)
+        estimates = observer.slave.getReal(observer.reals)
         (found,) = observer.slave.getInteger(observer.integers)
         rows[k] = torque, theta_e, omega_c, omega_p, y, location, y, *estimates, found
 
 
-def _check_equal(peer: str, ours: np.ndarray, theirs: np.ndarray) -> None:
+def check_equal(peer: str, ours: np.ndarray, theirs: np.ndarray) -> None:
+    """Raises RuntimeError: the rows are not equal bit for bit, so that the times of a peer say nothing."""
     if not np.array_equal(ours, theirs):
         apart = float(np.abs(ours - theirs).max())
         raise RuntimeError(f"the rows of {peer} are not ours: {apart:.3g} apart, so their times say nothing")
