@@ -46,56 +46,29 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
     return 0;
 }
 
-/* Source, plant and sensor of y: the first seven of a row are torque, theta_e, omega_c, omega_p, y in rad/s, location,
- * the sensor's value. */
-static inline int measured_driveline(const Fmu *plant, const Native *source, const Native *sensor, double t, double h,
-                                     double rpm, double *row) {
-    int location, status = source->step(source->self, t, h, NULL, row);
-    status |= plant->set_real(plant->instance, plant->reals_in, 1, row);
-    status |= plant->do_step(plant->instance, t, h, 1);
-    status |= plant->get_real(plant->instance, plant->reals, 4, row + 1);
-    status |= plant->get_integer(plant->instance, plant->integers, 1, &location);
-    row[4] = rpm * row[4];
-    row[5] = location;
-    return status | sensor->step(sensor->self, t, h, row + 4, row + 6);
-}
-
-/* Plant and observer, source and sensor. A row goes on with the observer's three estimates and its location. */
-EXPORT int run_luenberger(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
+/* Source, plant, sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, y in rad/s, location, the sensor's
+ * value, the observer's three estimates and its location. */
+EXPORT int run_driveline(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
     const Fmu plant = fmus[0], observer = fmus[1];
+    const Native source = natives[0], sensor = natives[1];
     for (int64_t k = 0; k < steps; k++, rows += 11) {
         const double t = (double)k * h;
-        int location, status = measured_driveline(&plant, &natives[0], &natives[1], t, h, rpm, rows);
-        const double measured[2] = {rows[6] / rpm, rows[0]};
+        double measured[2];
+        int location, status = source.step(source.self, t, h, NULL, rows);
+        status |= plant.set_real(plant.instance, plant.reals_in, 1, rows);
+        status |= plant.do_step(plant.instance, t, h, 1);
+        status |= plant.get_real(plant.instance, plant.reals, 4, rows + 1);
+        status |= plant.get_integer(plant.instance, plant.integers, 1, &location);
+        rows[4] = rpm * rows[4];
+        rows[5] = location;
+        status |= sensor.step(sensor.self, t, h, rows + 4, rows + 6);
+        measured[0] = rows[6] / rpm;
+        measured[1] = rows[0];
         status |= observer.set_real(observer.instance, observer.reals_in, 2, measured);
         status |= observer.do_step(observer.instance, t, h, 1);
         status |= observer.get_real(observer.instance, observer.reals, 3, rows + 7);
         status |= observer.get_integer(observer.instance, observer.integers, 1, &location);
         rows[10] = location;
-        if (status) return status;
-    }
-    return 0;
-}
-
-/* As above. A row goes on with the observer's three estimates, its location, r_3 and sigma_3, r_2 and sigma_2, and four
- * bounds. */
-EXPORT int run_hybrid(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
-    const Fmu plant = fmus[0], observer = fmus[1];
-    for (int64_t k = 0; k < steps; k++, rows += 19) {
-        const double t = (double)k * h;
-        int location, signatures[2], status = measured_driveline(&plant, &natives[0], &natives[1], t, h, rpm, rows);
-        const double measured[2] = {rows[6] / rpm, rows[0]};
-        double got[9];
-        status |= observer.set_real(observer.instance, observer.reals_in, 2, measured);
-        status |= observer.do_step(observer.instance, t, h, 1);
-        status |= observer.get_real(observer.instance, observer.reals, 9, got);
-        status |= observer.get_integer(observer.instance, observer.integers, 1, &location);
-        status |= observer.get_boolean(observer.instance, observer.booleans, 2, signatures);
-        rows[7] = got[0], rows[8] = got[1], rows[9] = got[2];
-        rows[10] = location;
-        rows[11] = rpm * got[3], rows[12] = signatures[0];
-        rows[13] = rpm * got[4], rows[14] = signatures[1];
-        rows[15] = got[5], rows[16] = got[6], rows[17] = got[7], rows[18] = got[8];
         if (status) return status;
     }
     return 0;

@@ -31,17 +31,18 @@ class DirectFmu:
     """An FMI 2.0 Co-Simulation FMU, unpacked and loaded; `slave` is FMPy's.
 
     The value references of the inputs and outputs named stand in `reals_in` and so on, by type, in the order given;
-    enumerations are among the integers.
+    enumerations are among the integers. `variables` are all there are, as FMPy describes them, by name.
     """
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         self._folder = tempfile.mkdtemp()
         extract(str(path), self._folder)
         description = read_model_description(str(path))
-        known = {variable.name: variable for variable in description.modelVariables}
+        self.variables = {variable.name: variable for variable in description.modelVariables}
 
         def references(names: Sequence[str], *types: str) -> list[int]:
-            return [known[name].valueReference for name in names if known[name].type in types]
+            found = [self.variables[name] for name in names]
+            return [variable.valueReference for variable in found if variable.type in types]
 
         self.reals_in, self.reals = references(inputs, "Real"), references(outputs, "Real")
         self.integers_in = references(inputs, "Integer", "Enumeration")
