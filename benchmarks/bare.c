@@ -46,42 +46,46 @@ EXPORT int step_driveline_c(Step step, void *self, int64_t steps, double h, cons
     return 0;
 }
 
-/* Source, plant, sensor of y, observer. A row: torque, theta_e, omega_c, omega_p, y in rad/s, location, the sensor's
+/* Rows of the loops below begin with the time, as ours do. */
+
+/* Source, plant, sensor of y, observer. A row: time, torque, theta_e, omega_c, omega_p, y in rad/s, location, the sensor's
  * value, the observer's three estimates and its location. */
 EXPORT int run_driveline(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
     const Fmu plant = fmus[0], observer = fmus[1];
     const Native source = natives[0], sensor = natives[1];
-    for (int64_t k = 0; k < steps; k++, rows += 11) {
+    for (int64_t k = 0; k < steps; k++, rows += 12) {
         const double t = (double)k * h;
-        double measured[2];
-        int location, status = source.step(source.self, t, h, NULL, rows);
-        status |= plant.set_real(plant.instance, plant.reals_in, 1, rows);
+        double *row = rows + 1, measured[2];
+        rows[0] = (double)(k + 1) * h;
+        int location, status = source.step(source.self, t, h, NULL, row);
+        status |= plant.set_real(plant.instance, plant.reals_in, 1, row);
         status |= plant.do_step(plant.instance, t, h, 1);
-        status |= plant.get_real(plant.instance, plant.reals, 4, rows + 1);
+        status |= plant.get_real(plant.instance, plant.reals, 4, row + 1);
         status |= plant.get_integer(plant.instance, plant.integers, 1, &location);
-        rows[4] = rpm * rows[4];
-        rows[5] = location;
-        status |= sensor.step(sensor.self, t, h, rows + 4, rows + 6);
-        measured[0] = rows[6] / rpm;
-        measured[1] = rows[0];
+        row[4] = rpm * row[4];
+        row[5] = location;
+        status |= sensor.step(sensor.self, t, h, row + 4, row + 6);
+        measured[0] = row[6] / rpm;
+        measured[1] = row[0];
         status |= observer.set_real(observer.instance, observer.reals_in, 2, measured);
         status |= observer.do_step(observer.instance, t, h, 1);
-        status |= observer.get_real(observer.instance, observer.reals, 3, rows + 7);
+        status |= observer.get_real(observer.instance, observer.reals, 3, row + 7);
         status |= observer.get_integer(observer.instance, observer.integers, 1, &location);
-        rows[10] = location;
+        row[10] = location;
         if (status) return status;
     }
     return 0;
 }
 
-/* The Van der Pol oscillator alone. A row: its two outputs. */
+/* The Van der Pol oscillator alone. A row: time and its two outputs. */
 EXPORT int run_oscillator(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
     const Fmu oscillator = fmus[0];
     (void)natives;
     (void)rpm;
-    for (int64_t k = 0; k < steps; k++, rows += 2) {
+    for (int64_t k = 0; k < steps; k++, rows += 3) {
+        rows[0] = (double)(k + 1) * h;
         int status = oscillator.do_step(oscillator.instance, (double)k * h, h, 1);
-        status |= oscillator.get_real(oscillator.instance, oscillator.reals, 2, rows);
+        status |= oscillator.get_real(oscillator.instance, oscillator.reals, 2, rows + 1);
         if (status) return status;
     }
     return 0;
@@ -101,29 +105,32 @@ static inline int step_feedthrough(const Fmu *fmu, double t, double h, const dou
     return status;
 }
 
-/* A source into all four inputs of one Feedthrough, whose outputs go into another. A row: the source's value, and two
+/* A source into all four inputs of one Feedthrough, whose outputs go into another. A row: time, the source's value, and two
  * reals, an integer and a boolean of each. */
 EXPORT int run_feedthroughs(const Fmu *fmus, const Native *natives, int64_t steps, double h, double rpm, double *rows) {
     const Fmu first = fmus[0], second = fmus[1];
     (void)rpm;
-    for (int64_t k = 0; k < steps; k++, rows += 9) {
+    for (int64_t k = 0; k < steps; k++, rows += 10) {
         const double t = (double)k * h;
-        int status = natives[0].step(natives[0].self, t, h, NULL, rows);
-        const double both[2] = {rows[0], rows[0]};
-        int integer = (int)rows[0], boolean = rows[0] != 0.0;
-        status |= step_feedthrough(&first, t, h, both, &integer, &boolean, rows + 1);
-        status |= step_feedthrough(&second, t, h, rows + 1, &integer, &boolean, rows + 5);
+        rows[0] = (double)(k + 1) * h;
+        int status = natives[0].step(natives[0].self, t, h, NULL, rows + 1);
+        const double both[2] = {rows[1], rows[1]};
+        int integer = (int)rows[1], boolean = rows[1] != 0.0;
+        status |= step_feedthrough(&first, t, h, both, &integer, &boolean, rows + 2);
+        status |= step_feedthrough(&second, t, h, rows + 2, &integer, &boolean, rows + 6);
         if (status) return status;
     }
     return 0;
 }
 
 /* A source into a chain of FMUs, each with one real input, the first output of the one before, and some real outputs.
- * A row: the source's value, and the outputs of each. */
+ * A row: time, the source's value, and the outputs of each. */
 EXPORT int run_chain(const Fmu *fmus, int64_t count, const Native *source, int64_t steps, double h, double *rows) {
     for (int64_t k = 0; k < steps; k++) {
-        const double t = (double)k * h, *u = rows;
-        int status = source->step(source->self, t, h, NULL, rows++);
+        const double t = (double)k * h, *u = rows + 1;
+        rows[0] = (double)(k + 1) * h;
+        int status = source->step(source->self, t, h, NULL, rows + 1);
+        rows += 2;
         for (const Fmu *fmu = fmus, *end = fmus + count; fmu < end; fmu++) {
             status |= fmu->set_real(fmu->instance, fmu->reals_in, 1, u);
             status |= fmu->do_step(fmu->instance, t, h, 1);

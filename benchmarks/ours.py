@@ -21,16 +21,17 @@ class Native(ctypes.Structure):
 
 
 class OurLoop:
-    """Parts wired by the platform, all their signals recorded; each call returns the seconds that one step took.
+    """Parts wired by the platform, all their signals recorded but where `record` names some; each call returns the seconds that one step took.
 
-    `rows` are those of the last call, in SI, one for each step; they are allocated once.
+    `rows` are those of the last call, one for each step: time and signals in SI. They are allocated once.
     """
 
-    def __init__(self, parts: Mapping[str, Any], step: float, steps: int, record: Sequence[str] | None = None) -> None:
+    def __init__(self, parts: Mapping[str, Any], step: float, steps: int, record: Sequence[str] = ()) -> None:
         clock = {"time": {"step": f"{step!r} s", "stop": f"{steps * step!r} s"}}
-        self.system: System = wire(Scenario.model_validate({"clock": clock, "parts": parts, "record": record}))
+        kept = {"record": list(record)} if record else {}
+        self.system: System = wire(Scenario.model_validate({"clock": clock, "parts": parts, **kept}))
         self.signals = [self.system.bus[place].name for place in self.system.recorded]
-        self.rows = np.zeros((steps, len(self.signals)))
+        self.rows = np.zeros((steps, 1 + len(self.signals)))
 
     def __call__(self) -> float:
         """From the first instant to the last, parts started and rows allocated before."""

@@ -127,7 +127,7 @@ def _driveline_through_fmpy(fmus: Sequence[DirectFmu], driving: Sequence[float],
         observer.slave.doStep(t, step)
         estimates = observer.slave.getReal(observer.reals)
         (found,) = observer.slave.getInteger(observer.integers)
-        rows[k] = torque, theta_e, omega_c, omega_p, y, location, y, *estimates, found
+        rows[k] = (k + 1) * step, torque, theta_e, omega_c, omega_p, y, location, y, *estimates, found
 
 
 def oscillator(steps: int) -> Setup:
@@ -154,7 +154,7 @@ def _oscillator_through_fmpy(fmus: Sequence[DirectFmu], driving: Sequence[float]
     (fmu,) = fmus
     for k in range(len(driving)):
         fmu.slave.doStep(k * step, step)
-        rows[k] = fmu.slave.getReal(fmu.reals)
+        rows[k] = (k + 1) * step, *fmu.slave.getReal(fmu.reals)
 
 
 CHANNELS = ("Float64_continuous", "Float64_discrete", "Int32", "Boolean")
@@ -200,6 +200,7 @@ def _feedthroughs_through_fmpy(fmus: Sequence[DirectFmu], driving: Sequence[floa
         second.slave.setBoolean(second.booleans_in, booleans)
         second.slave.doStep(t, step)
         rows[k] = (
+            (k + 1) * step,
             value,
             *reals,
             *integers,
