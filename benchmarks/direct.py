@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Self
 
-from fmpy import extract
 from fmpy.fmi2 import FMU2Slave
 from fmpy.model_description import read_model_description
+
+from fmus.archive import unpack
 
 FUNCTIONS = ("DoStep", "SetReal", "SetInteger", "SetBoolean", "GetReal", "GetInteger", "GetBoolean")
 REFERENCES = ("reals_in", "integers_in", "booleans_in", "reals", "integers", "booleans")
@@ -28,16 +27,15 @@ class Fmu(ctypes.Structure):
 
 
 class DirectFmu:
-    """An FMI 2.0 Co-Simulation FMU, unpacked and loaded; `slave` is FMPy's.
+    """An FMI 2.0 Co-Simulation FMU, loaded from the folder that ours is loaded from; `slave` is FMPy's.
 
     The value references of the inputs and outputs named stand in `reals_in` and so on, by type, in the order given;
     enumerations are among the integers. `variables` are all there are, as FMPy describes them, by name.
     """
 
     def __init__(self, path: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        self._folder = tempfile.mkdtemp()
-        extract(str(path), self._folder)
-        description = read_model_description(str(path))
+        folder = str(unpack(path).folder)
+        description = read_model_description(folder)
         self.variables = {variable.name: variable for variable in description.modelVariables}
 
         def references(names: Sequence[str], *types: str) -> list[int]:
@@ -50,7 +48,7 @@ class DirectFmu:
         self.booleans_in, self.booleans = references(inputs, "Boolean"), references(outputs, "Boolean")
         self.slave = FMU2Slave(
             guid=description.guid,
-            unzipDirectory=self._folder,
+            unzipDirectory=folder,
             modelIdentifier=description.coSimulation.modelIdentifier,
             instanceName=description.modelName,
         )
@@ -91,10 +89,9 @@ class DirectFmu:
         )
 
     def close(self) -> None:
-        """Free the instance, unload the library and remove what was unpacked."""
+        """Free the instance and let go of the library."""
         self._free()
         self.slave.freeLibrary()
-        shutil.rmtree(self._folder)
 
     def _free(self) -> None:
         if self._running:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
-import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from fmpy import extract, simulate_fmu
+from fmpy import simulate_fmu
 from fmpy.model_description import read_model_description
 from fmpy.simulation import instantiate_fmu
 
 from benchmarks.direct import Fmu
 from benchmarks.ours import OurLoop
 from benchmarks.setups import RPM, Setup
+from fmus.archive import unpack
 from fmus.toolchain import compile_shared
 
 
@@ -93,8 +92,7 @@ class SimulateFmu:
         ((part, path),) = setup.fmus.items()
         self._setup = setup
         self._outputs = [name.removeprefix(f"{part}.") for name in setup.recorded]
-        self._folder = tempfile.mkdtemp()
-        extract(str(path), self._folder)
+        self._folder = str(unpack(path).folder)
         self._description = read_model_description(self._folder)
         self._instance = instantiate_fmu(self._folder, self._description, "CoSimulation")
         self.rows = np.empty(0)
@@ -121,4 +119,3 @@ class SimulateFmu:
     def close(self) -> None:
         """Let go of the FMU."""
         self._instance.freeInstance()
-        shutil.rmtree(self._folder)
