@@ -14,7 +14,8 @@ from benchmarks.inprocess import BareLoop, FmpyCalls, SimulateFmu
 from benchmarks.measure import Measure, in_turn
 from benchmarks.orders import Jacobi, jacobi
 from benchmarks.ours import OurLoop
-from benchmarks.peer_process import PeerProcess, Recorded, Unavailable
+from benchmarks.peer_process import PeerProcess, Unavailable
+from benchmarks.serving import Recorded
 from benchmarks.setups import Setup
 
 BARE = "bare C loop"
@@ -48,8 +49,8 @@ def beside_bare_c(setup: Setup, target: float, rounds: int) -> Measure:
         bare = BareLoop(setup, ours)
         closing.callback(bare.close)
         least = in_turn((ours, bare), rounds)
-        _check_equal(BARE, ours.rows, bare.rows)
-    return Measure(setup.name, *least, BARE, target)
+        check_equal(BARE, ours.rows, bare.rows)
+    return Measure(setup.name, least[0], least[1], BARE, target)
 
 
 def beside_all(setup: Setup, target: float, rounds: int) -> Comparison:
@@ -70,18 +71,17 @@ def beside_all(setup: Setup, target: float, rounds: int) -> Comparison:
         peers, absent = _start_peers(setup, closing)
         engines |= peers
         least = in_turn((ours, bare) * FAST + tuple(engines.values()), rounds)
-        _check_equal(BARE, ours.rows, bare.rows)
-        _check_equal(FMPY_CALLS, ours.rows, calls.rows)
+        check_equal(BARE, ours.rows, bare.rows)
+        check_equal(FMPY_CALLS, ours.rows, calls.rows)
         if whole is not None:
-            _check_equal(SIMULATE_FMU, ours.rows[:, 1:], whole.rows)
+            check_equal(SIMULATE_FMU, ours.rows[:, 1:], whole.rows)
         wanted = jacobi(setup)
         for name, peer in peers.items():
-            _check_peer(name, peer.recorded(), wanted)
+            check_peer(name, peer.recorded(), wanted)
     our_least, bare_least = min(least[0 : 2 * FAST : 2]), min(least[1 : 2 * FAST : 2])
     measures = [Measure(setup.name, our_least, bare_least, BARE, target)]
     measures += [
-        Measure(setup.name, our_least, time, name)
-        for name, time in zip(engines, least[2 * FAST :], strict=True)
+        Measure(setup.name, our_least, time, name) for name, time in zip(engines, least[2 * FAST :], strict=True)
     ]
     return Comparison(measures, absent)
 
@@ -100,13 +100,14 @@ def _start_peers(setup: Setup, closing: ExitStack) -> tuple[dict[str, PeerProces
     return peers, absent
 
 
-def _check_equal(peer: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> None:
+def check_equal(peer: str, ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> None:
+    """Raises RuntimeError: the rows are not equal bit for bit, so that the times of the peer say nothing."""
     if not np.array_equal(ours, theirs):
         apart = float(np.abs(ours - theirs).max())
         raise RuntimeError(f"the rows of {peer} are not ours: {apart:.3g} apart, so their times say nothing")
 
 
-def _check_peer(peer: str, recorded: Recorded, wanted: Jacobi) -> None:
+def check_peer(peer: str, recorded: Recorded, wanted: Jacobi) -> None:
     """Raises RuntimeError: what the peer recorded is not what one of the two orders gives.
 
     A peer that records nothing shows its last row, or has another of its kind that records to speak for it.
@@ -116,8 +117,7 @@ def _check_peer(peer: str, recorded: Recorded, wanted: Jacobi) -> None:
     scale = np.maximum(np.abs(wanted.passed).max(axis=0), np.finfo(float).tiny)[recorded.places]
     allowed = SAME * scale + (DIGITS if peer.endswith("CSV") else 0.0)
     apart = [
-        float((np.abs(rows[-len(recorded.rows) :, recorded.places] - recorded.rows) / allowed).max())
-        for rows in wanted
+        float((np.abs(rows[-len(recorded.rows) :, recorded.places] - recorded.rows) / allowed).max()) for rows in wanted
     ]
     if not min(apart) <= 1.0:
         raise RuntimeError(f"the rows of {peer} are {min(apart):.3g} times what is allowed away from those expected")

@@ -60,7 +60,9 @@ class DirectFmu:
         self.slave.instantiate()
         self.slave.setupExperiment(startTime=0.0)
         self.slave.enterInitializationMode()
-        self.set([value] * len(self.reals_in), [int(value)] * len(self.integers_in), [bool(value)] * len(self.booleans_in))
+        self.set(
+            [value] * len(self.reals_in), [int(value)] * len(self.integers_in), [bool(value)] * len(self.booleans_in)
+        )
         self.slave.exitInitializationMode()
         self._running = True
         return self

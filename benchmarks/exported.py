@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.direct import DirectFmu
+from benchmarks.inprocess import bare_library
 from benchmarks.measure import Measure, side_by_side
 from benchmarks.ours import OurLoop
 from fmus.export import cached_fmu
@@ -31,11 +32,6 @@ class _Driveline(ctypes.Structure):
         *((name, ctypes.c_double) for name in (*PARAMETERS, "theta_e", "omega_c", "omega_p")),
         ("location", ctypes.c_int),
     ]
-
-
-def bare_library() -> ctypes.CDLL:
-    """The loops of bare.c."""
-    return ctypes.CDLL(str(compile_shared((HERE / "bare.c").read_text())))
 
 
 def beside_handwritten_c(steps: int = 20_000, rounds: int = 100) -> Measure:

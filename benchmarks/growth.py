@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.comparison import BARE, check_equal
 from benchmarks.direct import DirectFmu, Fmu
 from benchmarks.inprocess import BareLoop, bare_library
 from benchmarks.measure import Measure, in_turn
@@ -44,7 +45,7 @@ class Growth(NamedTuple):
     def measure(self) -> Measure:
         """The slopes: seconds that one thing more costs, a step."""
         slopes = (line(self.counts, self.ours).slope, line(self.counts, self.bare).slope)
-        return Measure(f"growth with {self.things}, slope", *slopes, "bare C loop")
+        return Measure(f"growth with {self.things}, slope", *slopes, BARE)
 
 
 def line(x: Sequence[float], y: Sequence[float]) -> Line:
@@ -74,8 +75,10 @@ def with_steps(counts: Sequence[int] = STEPS, rounds: int = 3) -> Growth:
         setup = oscillator(count)
         with OurLoop(setup.parts, setup.step, setup.steps) as ours:
             bare = BareLoop(setup, ours)
-            times.append([least * count for least in in_turn((ours, bare), max(rounds, 10_000_000 // count // 10))])
-            _check(ours.rows, bare.rows)
+            times.append(
+                [least * count for least in in_turn((ours, bare), rounds * max(1, min(20, 1_000_000 // count)))]
+            )
+            check_equal(BARE, ours.rows, bare.rows)
             bare.close()
     return Growth("steps", tuple(counts), *zip(*times, strict=True))
 
@@ -119,12 +122,7 @@ def _chain(model: Model, count: int, steps: int, rounds: int) -> list[float]:
             return elapsed / steps
 
         least = in_turn((ours, bare), rounds)
-        _check(ours.rows, rows)
+        check_equal(BARE, ours.rows, rows)
     for fmu in fmus:
         fmu.close()
     return least
-
-
-def _check(ours: np.ndarray, bare: np.ndarray) -> None:
-    if not np.array_equal(ours, bare):
-        raise RuntimeError("the rows of the bare loop are not ours, so their times say nothing")

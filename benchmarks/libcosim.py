@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.peer_process import Recorded, Signal, Simulate, Task, serve, signals
+from benchmarks.serving import Recorded, Signal, Simulate, Task, serve, signals
 
 NANOSECONDS = 1_000_000_000
 

@@ -21,9 +21,10 @@ class Native(ctypes.Structure):
 
 
 class OurLoop:
-    """Parts wired by the platform, all their signals recorded but where `record` names some; each call returns the seconds that one step took.
+    """Parts wired by the platform; each call returns the seconds that one step took.
 
-    `rows` are those of the last call, one for each step: time and signals in SI. They are allocated once.
+    All signals are recorded, but where `record` names some. `rows` are those of the last call, one for each step: time
+    and signals in SI. They are allocated once.
     """
 
     def __init__(self, parts: Mapping[str, Any], step: float, steps: int, record: Sequence[str] = ()) -> None:

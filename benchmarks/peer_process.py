@@ -1,58 +1,24 @@
-"""An engine in a process of its own: what it is told and what it answers, for both sides."""
+"""A peer in a process of its own, as seen from outside: it is told a set-up, timed and asked for its rows."""
 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypedDict
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.serving import Recorded, Signal, Task
 from benchmarks.setups import Setup
 from fmus.description import describe
 
 
-class Signal(NamedTuple):
-    """A variable of an FMU: `real`, `integer` or `boolean`, and its value reference."""
-
-    part: str
-    variable: str
-    kind: str
-    reference: int
-
-
-class Task(TypedDict):
-    """A set-up as it is told to the process."""
-
-    step: float
-    steps: int
-    half: int
-    fmus: dict[str, str]
-    wires: list[tuple[Signal, Signal]]
-    driven: list[Signal]
-    before: float
-    after: float
-    recorded: list[Signal]
-
-
-class Recorded(NamedTuple):
-    """The last rows of a run, of those signals whose places among the recorded ones are given."""
-
-    places: list[int]
-    rows: NDArray[np.float64]
-
-
 class Unavailable(Exception):
     """Why an engine cannot be measured here."""
-
-
-Simulate = Callable[[Task], tuple[float, Recorded]]
 
 
 class PeerProcess:
@@ -64,12 +30,13 @@ class PeerProcess:
     """
 
     def __init__(self, module: str, setup: Setup, recording: str, cores: Sequence[int] = ()) -> None:
-        self._errors = tempfile.TemporaryFile("w+")
+        self._module = module
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed by close
         command = [sys.executable, "-m", module, recording, ",".join(map(str, cores))]
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, text=True
         )
-        answer = self._ask(json.dumps(_task(setup)))
+        answer = self._ask(json.dumps(task_of(setup)))
         if "unavailable" in answer:
             self.close()
             raise Unavailable(answer["unavailable"])
@@ -101,7 +68,7 @@ class PeerProcess:
         if not answer:
             code = self._process.wait()
             self._errors.seek(0)
-            raise RuntimeError(f"{self._process.args} ended with {code}:\n{self._errors.read()[-2000:]}")
+            raise RuntimeError(f"{self._module} ended with {code}:\n{self._errors.read()[-2000:]}")
         return json.loads(answer)
 
     def __enter__(self) -> Self:
@@ -111,42 +78,8 @@ class PeerProcess:
         self.close()
 
 
-def serve(load: Callable[[str], Simulate]) -> None:
-    """Answer on standard output, which the engine's own messages are kept from, until standard input ends.
-
-    `load(recording)` gives what simulates a task, times its steps, and tells what is known of them.
-    """
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    recording, cores = sys.argv[1:]
-    if cores:
-        os.sched_setaffinity(0, [int(core) for core in cores.split(",")])
-
-    def answer(**content: Any) -> None:
-        answers.write(json.dumps(content) + "\n")
-        answers.flush()
-
-    task: Task = json.loads(sys.stdin.readline())
-    try:
-        simulate = load(recording)
-    except (ImportError, OSError) as error:
-        answer(unavailable=str(error))
-        return
-    answer()
-    for line in sys.stdin:
-        asked, _, path = line.strip().partition(" ")
-        seconds, recorded = simulate(task)
-        if asked == "rows":
-            np.save(path, recorded.rows)
-        answer(seconds=seconds, places=recorded.places)
-
-
-def signals(listed: Sequence[Sequence[Any]]) -> list[Signal]:
-    """Signals of a task as they came through the pipe."""
-    return [Signal(*entry) for entry in listed]
-
-
-def _task(setup: Setup) -> Task:
+def task_of(setup: Setup) -> Task:
+    """What a process is told of a set-up."""
     descriptions = {part: describe(path) for part, path in setup.fmus.items()}
 
     def signal(name: str) -> Signal:

@@ -39,4 +39,6 @@ def optimised(model: str) -> Path:
 
 def _simplified(text: str) -> str:
     text = _ENUMERATION_UNKNOWN.sub("", _ENUMERATION.sub("", text))
-    return text.replace('dependencies="10 12" dependenciesKind="constant"', 'dependencies="10" dependenciesKind="constant"')
+    return text.replace(
+        'dependencies="10 12" dependenciesKind="constant"', 'dependencies="10" dependenciesKind="constant"'
+    )

@@ -131,7 +131,7 @@ def _driveline_through_fmpy(fmus: Sequence[DirectFmu], driving: Sequence[float],
 
 
 def oscillator(steps: int) -> Setup:
-    """The Reference FMU of van der Pol's oscillator alone, at its own solver step of 10 ms: the loop and little else."""
+    """The Reference FMU of van der Pol's oscillator alone, at its own solver step of 10 ms: a loop and little else."""
     path = optimised("VanDerPol")
     return Setup(
         name="Van der Pol",
