@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
@@ -96,9 +97,13 @@ def main(
         if name not in known:
             raise typer.BadParameter(f"no measure is named '{name}'; there are {', '.join(known)}")
     taken: dict[str, Taken] = {}
+    failures: dict[str, RuntimeError] = {}
     for name in only or known:
         print(f"measuring {name}", flush=True)
-        taken[name] = known[name]()
+        try:
+            taken[name] = known[name]()
+        except RuntimeError as failure:  # the others are measured all the same
+            failures[name] = failure
     measures = [measure for one in taken.values() for measure in measures_of(one)]
     Console(width=140).print(table(measures))
     comparisons = [one for one in taken.values() if isinstance(one, Comparison)]
@@ -107,6 +112,10 @@ def main(
             print(f"{compared.measures[0].name}: {engine} was not measured: {reason}")
     write_results(measures, RESULTS)
     print(f"written: {RESULTS}")
+    for name, failure in failures.items():
+        print(f"{name} failed: {failure}", file=sys.stderr)
+    if failures:
+        raise typer.Exit(1)
     if not only and not quick:
         growths = [one for one in taken.values() if isinstance(one, Growth)]
         write_page(PAGE, comparisons, growths, next((one for one in taken.values() if isinstance(one, LongRun)), None))

@@ -131,7 +131,7 @@ def _long_run(long: LongRun | None) -> str:
     if long is None:
         return "Not measured on this system."
     megabytes = [f"{size / 1e6:.0f} MB" for size in (long.largest, long.together, long.record)]
-    together = f" ({megabytes[1]} with the process that keeps the run folder)" if long.together else ""
+    together = f" ({megabytes[1]} in all its processes together)" if long.together else ""
     return (
         f"{long.steps:,} steps, {long.columns} columns recorded in each: {long.seconds:.0f} s from the command to its "
         f"end, {megabytes[0]} of resident memory at the peak of its largest process{together}, where the limit is "

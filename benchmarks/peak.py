@@ -14,30 +14,32 @@ from contextlib import suppress
 from pathlib import Path
 
 LOOK = 0.02  # s
-PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 
 
 def main() -> None:
     """Run the command and print its exit code, its seconds, and bytes of resident memory at their peak.
 
-    `largest` is the largest process of all that came of it, by the system's own account; `together` all at one time,
-    as seen every 20 ms, where the system tells (Linux), else 0.
+    `largest` is the largest process of all that came of it. What the system says at its end leaves out processes that
+    others have waited for, so each is also asked for its own peak every 20 ms, where the system tells (Linux). There
+    `together` is what all held at one time, memory that they share counted once; elsewhere it is 0.
     """
     begin = time.perf_counter()
     process = subprocess.Popen(sys.argv[1:], stdout=sys.stderr)
-    together, ended = 0, 0
+    largest, together, ended = 0, 0, 0
     while not ended:
-        together = max(together, sum(_resident(number) for number in _family(process.pid)))
+        family = _family(process.pid)
+        largest = max(largest, *(_kilobytes(number, "status", "VmHWM") for number in family))
+        together = max(together, sum(_kilobytes(number, "smaps_rollup", "Pss") for number in family))
         time.sleep(LOOK)
         ended, status, usage = os.wait4(process.pid, os.WNOHANG)
     seconds = time.perf_counter() - begin
-    largest = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    largest = max(1024 * largest, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024))
     code = os.waitstatus_to_exitcode(status)
-    print(json.dumps({"code": code, "seconds": seconds, "largest": largest, "together": together}))
+    print(json.dumps({"code": code, "seconds": seconds, "largest": largest, "together": 1024 * together}))
 
 
 def _family(number: int) -> list[int]:
-    """A process and all that came of it; none where the system does not tell."""
+    """A process and all that came of it and is still there; no more than itself where the system does not tell."""
     found = [number]
     for task in Path(f"/proc/{number}/task").glob("*/children"):
         with suppress(OSError):
@@ -46,9 +48,12 @@ def _family(number: int) -> list[int]:
     return found
 
 
-def _resident(number: int) -> int:
-    with suppress(OSError, IndexError):
-        return int(Path(f"/proc/{number}/statm").read_text().split()[1]) * PAGE
+def _kilobytes(number: int, file: str, name: str) -> int:
+    """An entry of a file of a process under /proc; 0 where there is none, as when the process has just ended."""
+    with suppress(OSError):
+        for entry in Path(f"/proc/{number}/{file}").read_text().splitlines():
+            if entry.startswith(f"{name}:"):
+                return int(entry.split()[1])
     return 0
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -144,6 +146,16 @@ def test_the_long_run_counts_every_row_and_sees_the_memory_of_the_worker():
     # A worker with NumPy, SciPy and pyarrow holds tens of megabytes; the one that looks on holds fewer than twenty.
     assert 30e6 < found.largest < 1e9
     assert found.record > 2_000 * found.columns
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of processes that nobody waited for")
+def test_the_peak_counts_a_process_that_nobody_waited_for():
+    holding = "held = bytearray(200_000_000); import time; time.sleep(0.5)"
+    starting = f"import subprocess, sys, time; subprocess.Popen([sys.executable, '-c', {holding!r}]); time.sleep(0.4)"
+    command = [sys.executable, "-m", "benchmarks.peak", sys.executable, "-c", starting]
+    seen = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert seen["code"] == 0 and seen["seconds"] > 0.4
+    assert 200e6 < seen["largest"] < 300e6 and 200e6 < seen["together"] < 300e6
 
 
 MEASURES = [Measure("loop", 1e-6, 2e-6, "peer", 1.0), Measure("memory", 3.0, 4.0, "limit", None, "B")]
