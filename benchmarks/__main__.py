@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,52 +13,15 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import comparison, growth, loop
 from benchmarks.comparison import Comparison
-from benchmarks.exported import beside_handwritten_c, beside_pythonfmu
 from benchmarks.growth import Growth
-from benchmarks.long_run import STEPS as LONG
-from benchmarks.long_run import LongRun, long_run, measures_memory
+from benchmarks.long_run import LongRun
 from benchmarks.measure import Measure
 from benchmarks.page import write_page
-from benchmarks.setup_time import beside_simulate_fmu
-from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
+from benchmarks.sections import Taken, measures_of, sections, take_apart
 
 RESULTS = Path(__file__).parent / "results.json"
 PAGE = Path(__file__).parents[1] / "docs" / "speed.md"
-Taken = list[Measure] | Comparison | Growth | LongRun
-
-
-def sections(scale: int) -> dict[str, Callable[[], Taken]]:
-    """What can be measured, by name; with fewer rounds and steps where `scale` is above 1."""
-
-    def rounds(full: int) -> int:
-        return max(1, full // scale)
-
-    known: dict[str, Callable[[], Taken]] = {
-        "export": lambda: [beside_handwritten_c(rounds=rounds(100)), beside_pythonfmu(rounds=rounds(20))],
-        "set-up": lambda: [beside_simulate_fmu(rounds=rounds(30))],
-        "light": lambda: [
-            comparison.beside_bare_c(plant_and_observer(1, 20_000), 1.15, rounds(100)),
-            loop.beside_fmpy(rounds=rounds(5)),
-        ],
-        "plant-and-observer": lambda: comparison.beside_all(plant_and_observer(8, 10_000), 1.05, rounds(20)),
-        "van-der-pol": lambda: comparison.beside_all(oscillator(10_000), 2.5, rounds(20)),
-        "two-feedthrough": lambda: comparison.beside_all(feedthroughs(10_000), 2.5, rounds(20)),
-        "parts": lambda: growth.with_parts(rounds=rounds(40)),
-        "signals": lambda: growth.with_signals(rounds=rounds(40)),
-        "steps": lambda: growth.with_steps(growth.STEPS if scale == 1 else growth.STEPS[:-1], rounds(3)),
-    }
-    if measures_memory():
-        known["long-run"] = lambda: long_run(LONG // scale)
-    return known
-
-
-def measures_of(taken: Taken) -> list[Measure]:
-    """The measures in what a section gave."""
-    if isinstance(taken, Comparison):
-        return taken.measures
-    return taken if isinstance(taken, list) else [taken.measure()]
 
 
 def write_results(measures: Sequence[Measure], path: Path) -> None:
@@ -92,7 +55,8 @@ def main(
     quick: Annotated[bool, typer.Option("--quick", help="a tenth of the rounds and of the longest runs")] = False,
 ) -> None:
     """Measure, print the table and write benchmarks/results.json; a full run writes docs/speed.md too."""
-    known = sections(10 if quick else 1)
+    scale = 10 if quick else 1
+    known = sections(scale)
     for name in only or []:
         if name not in known:
             raise typer.BadParameter(f"no measure is named '{name}'; there are {', '.join(known)}")
@@ -101,7 +65,7 @@ def main(
     for name in only or known:
         print(f"measuring {name}", flush=True)
         try:
-            taken[name] = known[name]()
+            taken[name] = take_apart(name, scale)
         except RuntimeError as failure:  # the others are measured all the same
             failures[name] = failure
     measures = [measure for one in taken.values() for measure in measures_of(one)]
@@ -112,8 +76,8 @@ def main(
             print(f"{compared.measures[0].name}: {engine} was not measured: {reason}")
     write_results(measures, RESULTS)
     print(f"written: {RESULTS}")
-    for name, failure in failures.items():
-        print(f"{name} failed: {failure}", file=sys.stderr)
+    for name, told in failures.items():
+        print(f"{name} failed: {told}", file=sys.stderr)
     if failures:
         raise typer.Exit(1)
     if not only and not quick:
