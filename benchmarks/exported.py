@@ -7,19 +7,17 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.direct import DirectFmu
+from benchmarks.inprocess import bare_library
 from benchmarks.measure import Measure, side_by_side
+from benchmarks.ours import OurLoop
 from fmus.export import cached_fmu
 from fmus.plants.driveline import MODEL
 from fmus.toolchain import compile_shared
-from harness.run import StartedSystem, run
-from harness.scenario import Scenario
-from harness.wiring import wire
 
 HERE = Path(__file__).parent
 STEP = 1e-3  # s, the step of the exported RK4 too: one RK4 step a communication step
@@ -36,11 +34,6 @@ class _Driveline(ctypes.Structure):
     ]
 
 
-def bare_library() -> ctypes.CDLL:
-    """The loops of bare.c."""
-    return ctypes.CDLL(str(compile_shared((HERE / "bare.c").read_text())))
-
-
 def beside_handwritten_c(steps: int = 20_000, rounds: int = 100) -> Measure:
     """The FMU's step, with its input set and its outputs got, beside the same step as one C function.
 
@@ -50,7 +43,7 @@ def beside_handwritten_c(steps: int = 20_000, rounds: int = 100) -> Measure:
     by_hand = ctypes.CDLL(str(compile_shared((HERE / "driveline.c").read_text())))
     torque = np.where(np.arange(steps) * STEP % 2.0 < 1.0, -10.0, 10.0)
     rows = {"ours": np.zeros((steps, 5)), "peer": np.zeros((steps, 5))}
-    fmu = DirectFmu(cached_fmu(MODEL), ("T_eng",), OUTPUTS, ("location",))
+    fmu = DirectFmu(cached_fmu(MODEL), ("T_eng",), (*OUTPUTS, "location"))
     start = {signal.name: float(signal.start) for signal in MODEL.parameters}
 
     def ours() -> float:
@@ -76,41 +69,22 @@ def beside_pythonfmu(rounds: int = 20) -> Measure:
     """The driveline in the platform's step loop, as our native FMU and as an FMU that PythonFMU made."""
     with tempfile.TemporaryDirectory() as folder:
         twin = _build_twin(Path(folder))
-        ours, ours_values = _in_the_loop("fmus.plants.driveline", "N.m", steps=20_000)
-        peer, peer_values = _in_the_loop(str(twin), "", steps=2_000)  # PythonFMU declares no units
-        times = side_by_side(ours, peer, rounds)
-    compared = min(len(ours_values), len(peer_values))
-    _check_same("PythonFMU", ours_values[:compared], peer_values[:compared])
+        # PythonFMU declares no units.
+        with _driven("fmus.plants.driveline", "N.m", 20_000) as ours, _driven(str(twin), "", 2_000) as peer:
+            times = side_by_side(ours, peer, rounds)
+            compared = min(len(ours.rows), len(peer.rows))
+            _check_same("PythonFMU", ours.rows[:compared], peer.rows[:compared])
     return Measure("exported FMU in the loop", *times, "PythonFMU, same equations", 1 / 50)
 
 
-def _in_the_loop(use: str, unit: str, steps: int) -> tuple[Callable[[], float], np.ndarray]:
-    """What times one run of the plant with the torque's step as its source, and theta_e and omega_c of a first run."""
+def _driven(use: str, unit: str, steps: int) -> OurLoop:
+    """The plant in the loop with the torque's step as its source; theta_e and omega_c are recorded."""
     jump = {"at": "0.5 s", "from": f"0 {unit}", "to": f"-10 {unit}"}
-    scenario = Scenario.model_validate(
-        {
-            "clock": {"time": {"step": f"{STEP} s", "stop": f"{steps * STEP} s"}},
-            "parts": {
-                "torque": {"use": "source", "unit": unit, "step": jump},
-                "plant": {"use": use, "wires": {"T_eng": "torque"}},
-            },
-            "record": ["plant.theta_e", "plant.omega_c"],
-        }
-    )
-
-    def timed() -> float:
-        with wire(scenario) as system:
-            started = StartedSystem(system)
-            rows = np.empty((steps, 1 + len(system.recorded)))
-            begin = time.process_time()
-            reached = started.advance(0, steps, rows)
-            elapsed = time.process_time() - begin
-        if reached != steps:
-            raise RuntimeError(f"{use}: the loop ended at instant {reached}: {started.failure}")
-        return elapsed / steps
-
-    with wire(scenario) as system:
-        return timed, run(system).values
+    parts = {
+        "torque": {"use": "source", "unit": unit, "step": jump},
+        "plant": {"use": use, "wires": {"T_eng": "torque"}},
+    }
+    return OurLoop(parts, STEP, steps, ["plant.theta_e", "plant.omega_c"])
 
 
 def _build_twin(folder: Path) -> Path:

@@ -1,0 +1,222 @@
+"""Do the benchmarks compare like with like, and tell what they found as promised?"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import comparison, growth
+from benchmarks.__main__ import PAGE, write_results
+from benchmarks.comparison import BARE, FMPY_CALLS, PEERS, SIMULATE_FMU, Comparison, beside_all, check_peer
+from benchmarks.growth import Growth, line
+from benchmarks.long_run import LongRun, long_run, measures_memory
+from benchmarks.measure import Measure, in_turn
+from benchmarks.orders import jacobi
+from benchmarks.page import replace_section, write_page
+from benchmarks.peer_process import PeerProcess, Unavailable, task_of
+from benchmarks.serving import Recorded
+from benchmarks.setups import Setup, feedthroughs, oscillator, plant_and_observer
+
+STEPS = 400
+SETUPS = [lambda: plant_and_observer(8, STEPS), lambda: oscillator(STEPS), lambda: feedthroughs(STEPS)]
+WITH_PEERS = pytest.mark.skipif(
+    find_spec("libcosimpy") is None or find_spec("ecospy") is None,
+    reason="ecos and libcosim have wheels for few systems",
+)
+
+
+@pytest.mark.parametrize("setup", SETUPS)
+def test_every_engine_steps_the_same_system(setup: Callable[[], Setup]):
+    # beside_all raises where the rows of any engine are not what they ought to be.
+    taken = beside_all(setup(), 1.0, 1)
+    measured = {measure.peer_name for measure in taken.measures}
+    whole = {SIMULATE_FMU} if taken.measures[0].name == "Van der Pol" else set()
+    assert measured | set(taken.absent) == {BARE, FMPY_CALLS, *PEERS} | whole
+    assert measured >= {BARE, FMPY_CALLS} | whole
+    assert all(measure.ours > 0.0 and measure.peer > 0.0 for measure in taken.measures)
+    assert len({measure.ours for measure in taken.measures}) == 1
+
+
+def test_a_bare_loop_that_strays_by_one_bit_is_refused(monkeypatch: pytest.MonkeyPatch):
+    timed = comparison.BareLoop.__call__
+
+    def astray(self: comparison.BareLoop) -> float:
+        seconds = timed(self)
+        self.rows[-1, 1] = np.nextafter(self.rows[-1, 1], np.inf)
+        return seconds
+
+    monkeypatch.setattr(comparison.BareLoop, "__call__", astray)
+    with pytest.raises(RuntimeError, match="the rows of bare C loop are not ours"):
+        comparison.beside_bare_c(oscillator(STEPS), 1.0, 1)
+
+
+def test_rows_of_a_peer_that_are_away_from_both_orders_are_refused():
+    wanted = jacobi(feedthroughs(STEPS))
+    places = list(range(wanted.passed.shape[1]))
+    check_peer("ecos, CSV", Recorded(places, wanted.passed), wanted)
+    check_peer("libcosim", Recorded(places[:3], wanted.stepped[-1:, :3]), wanted)
+    with pytest.raises(RuntimeError, match="the rows of libcosim are"):
+        check_peer("libcosim", Recorded(places, wanted.passed + 1e-6), wanted)
+
+
+def test_what_is_wired_arrives_a_step_later_where_values_are_passed_on_after_the_steps():
+    setup = feedthroughs(10)
+    rows = jacobi(setup)
+    first, second = [0, 1, 2], [4, 5, 6]
+    assert rows.stepped[:, first[0]].tolist() == [1.0] * 5 + [2.0] * 5
+    assert np.array_equal(rows.stepped[1:, second], rows.stepped[:-1, first])
+    assert np.array_equal(rows.passed[:, second], rows.passed[:, first])
+
+
+@WITH_PEERS
+@pytest.mark.parametrize("module", ["benchmarks.ecos", "benchmarks.libcosim"])
+def test_a_peer_in_its_own_process_records_every_step(module: str):
+    with PeerProcess(module, oscillator(STEPS), "everything") as peer:
+        assert peer() > 0.0
+        recorded = peer.recorded()
+    assert recorded.places == [0, 1] and recorded.rows.shape == (STEPS, 2)
+
+
+def test_a_peer_that_cannot_be_loaded_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "lacking.py").write_text(
+        "from benchmarks.serving import serve\n"
+        "def load(recording):\n    raise OSError('libtbb.so.12: cannot open shared object file')\n"
+        "serve(load)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).parents[1]}")
+    with pytest.raises(Unavailable, match=r"libtbb\.so\.12: cannot open shared object file"):
+        PeerProcess("lacking", oscillator(STEPS), "nothing")
+    monkeypatch.setattr(comparison, "PEERS", {"lacking": ("lacking", "nothing", False)})
+    assert beside_all(oscillator(STEPS), 1.0, 1).absent == {"lacking": "libtbb.so.12: cannot open shared object file"}
+
+
+def test_a_peer_that_dies_is_an_error_with_its_last_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "dying.py").write_text(
+        "import sys\nfrom benchmarks.serving import serve\n"
+        "def load(recording):\n    return lambda task: sys.exit('of a mismatch')\n"
+        "serve(load)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{Path(__file__).parents[1]}")
+    last_words = pytest.raises(RuntimeError, match="dying ended with 1:\nof a mismatch")
+    with PeerProcess("dying", oscillator(STEPS), "nothing") as peer, last_words:
+        peer()
+
+
+def test_the_fastest_of_interleaved_rounds_counts():
+    turns: list[str] = []
+    times = iter([3.0, 30.0, 1.0, 20.0, 2.0, 10.0])
+
+    def taking_turns(name: str) -> Callable[[], float]:
+        return lambda: turns.append(name) or next(times)  # type: ignore[func-returns-value]
+
+    assert in_turn((taking_turns("ours"), taking_turns("peer")), 3) == [1.0, 10.0]
+    assert turns == ["ours", "peer"] * 3
+
+
+def test_the_line_through_points_is_that_of_least_squares():
+    exact = line((1, 2, 4), (5.0, 7.0, 11.0))
+    assert exact == pytest.approx((2.0, 3.0, 1.0))
+    # By hand: means 1 and 4/3, slope (1/3 + 2/3) / 2; squares about the mean 2/3, of which 2 slope^2 is explained.
+    bent = line((0, 1, 2), (1.0, 1.0, 2.0))
+    assert bent == pytest.approx((0.5, 5.0 / 6.0, 0.75))
+
+
+@pytest.mark.parametrize("grow", [growth.with_parts, growth.with_signals])
+def test_growth_is_measured_on_equal_rows(grow: Callable[..., Growth]):
+    found = grow((1, 3), steps=50, rounds=1)
+    assert found.counts == (1, 3) and min(*found.ours, *found.bare) > 0.0
+
+
+def test_growth_with_steps_is_that_of_whole_runs():
+    found = growth.with_steps((200, 20_000), rounds=1)
+    assert 10.0 < found.bare[1] / found.bare[0] < 1000.0  # 100 but for what else the machine does
+
+
+@pytest.mark.skipif(not measures_memory(), reason="this system does not tell the peak of a process at its end")
+def test_the_long_run_counts_every_row_and_sees_the_memory_of_the_worker():
+    found = long_run(2_000)
+    assert found.steps == 2_000 and found.columns == 12
+    # A worker with NumPy, SciPy and pyarrow holds tens of megabytes; the one that looks on holds fewer than twenty.
+    assert 30e6 < found.largest < 1e9
+    assert found.record > 2_000 * found.columns
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of processes that nobody waited for")
+def test_the_peak_counts_a_process_that_nobody_waited_for():
+    holding = "held = bytearray(200_000_000); import time; time.sleep(0.5)"
+    starting = f"import subprocess, sys, time; subprocess.Popen([sys.executable, '-c', {holding!r}]); time.sleep(0.4)"
+    command = [sys.executable, "-m", "benchmarks.peak", sys.executable, "-c", starting]
+    seen = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    assert seen["code"] == 0 and seen["seconds"] > 0.4
+    assert 200e6 < seen["largest"] < 300e6 and 200e6 < seen["together"] < 300e6
+
+
+MEASURES = [Measure("loop", 1e-6, 2e-6, "peer", 1.0), Measure("memory", 3.0, 4.0, "limit", None, "B")]
+
+
+def test_results_are_a_list_of_entries_as_promised(tmp_path: Path):
+    path = tmp_path / "results.json"
+    write_results(MEASURES, path)
+    assert json.loads(path.read_text()) == [
+        {"name": "loop", "ours": 1e-6, "peer": 2e-6, "peer_name": "peer", "ratio": 0.5, "unit": "s"},
+        {"name": "memory", "ours": 3.0, "peer": 4.0, "peer_name": "limit", "ratio": 0.75, "unit": "B"},
+    ]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_page_is_written_between_its_marks_and_again_the_same(tmp_path: Path):
+    page = tmp_path / "speed.md"
+    page.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    names = ("plant and observer", "Van der Pol")
+    compared = [
+        Comparison(
+            [Measure(name, 2e-6, 1e-6, BARE, 1.0), Measure(name, 2e-6, 36.4e-6, FMPY_CALLS)], {"ecos, CSV": "no"}
+        )
+        for name in names
+    ]
+    grown = [
+        Growth("parts", (1, 64), (1e-7, 6.4e-6), (1e-7, 6.4e-6)),
+        Growth("signals", (1, 1000), (1e-7, 1e-6), (1e-7, 1e-6)),
+        Growth("steps", (10, 1000), (1e-4, 1e-2), (1e-4, 1e-2)),
+    ]
+    long = LongRun(10_000_000, 12.4, 123_000_000, 0, 400_000_000, 12)
+    write_page(page, compared, grown, long)
+    text = page.read_text(encoding="utf-8")
+    assert "| bare C loop | 1.00 (1.00) | 1.00 (1.00) |" in text
+    assert "| crankbench, everything recorded | 2.00 (2.00) | 2.00 (2.00) |" in text
+    assert "| FMPy's calls | 36.4 (36) | 36.4 (36) |" in text
+    assert "ecos, CSV: not measured here, no" in text
+    assert "| parts | 1, 64 | 100 ns | 100 ns | 1.00 | 1.00000 |" in text
+    assert "10,000,000 steps, 12 columns recorded in each: 12 s from the command to its end, 123 MB" in text
+    drawings = {path.name: path.read_bytes() for path in (tmp_path / "speed").iterdir()}
+    assert drawings.keys() == {"parts.svg", "signals.svg", "steps.svg"}
+    assert all(len(drawn) < 60_000 for drawn in drawings.values())
+    write_page(page, compared, grown, long)
+    assert page.read_text(encoding="utf-8") == text
+    assert {path.name: path.read_bytes() for path in (tmp_path / "speed").iterdir()} == drawings
+
+
+def test_a_page_without_marks_is_refused():
+    with pytest.raises(ValueError, match="there is no '<!-- growth -->'"):
+        replace_section("<!-- growth --> but no end", "growth", "x")
+
+
+def test_the_pictures_of_the_page_exist():
+    drawn = PAGE.with_suffix("")
+    assert {path.name for path in drawn.iterdir()} == {"parts.svg", "signals.svg", "steps.svg"}
+
+
+def test_a_task_names_every_signal_with_its_reference():
+    task = task_of(feedthroughs(STEPS))
+    assert task["wires"][2] == (
+        ("first", "Int32_output", "integer", 20),
+        ("second", "Int32_input", "integer", 19),
+    )
+    assert [signal.kind for signal in task["driven"]] == ["real", "real", "integer", "boolean"]
