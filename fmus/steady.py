@@ -77,7 +77,7 @@ class _Scaled:
         rates, matrix = self.rates(z), self.jacobian(z)
         if not np.isfinite(matrix).all() or np.linalg.matrix_rank(matrix) < len(z):
             return _Newton(z, rates, None)
-        return _Newton(z, rates, np.linalg.solve(matrix, -rates))
+        return _Newton(z, rates, np.asarray(np.linalg.solve(matrix, -rates), dtype=np.float64))
 
     def solved(self, near: _Newton) -> _Newton:
         """Newton's method until its correction no longer halves: the best that it came by."""

@@ -273,7 +273,9 @@ MODEL = Model(
     outputs=OUTPUTS,
     parameters=PARAMETERS,
     parameter_sets=PARAMETER_SETS,
-    # The fastest time constant is 70 us with the throttle open, the slowest seconds: see docs/turbo_si.md.
+    # Time constants from 70 us with the throttle open to 30 s; a throttle that chokes or not is a kink, which steps of
+    # a fixed length would not see: docs/turbo_si.md.
     solver_method="rodas4",
     solver_step=1e-3,
+    solver_tolerance=1e-6,
 )
