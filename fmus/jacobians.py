@@ -105,11 +105,23 @@ class Jacobians:
 
         A branch of `np.where`, `np.minimum` or `np.maximum` that is not taken contributes an exact zero: over points of
         one regime this is the structure of that regime, where the symbolic one is that of all regimes at once.
+
+        Raises ModelError: a derivative is not finite; ValueError: there is no point.
         """
         linear = [self.at(one) for one in points]
         if not linear:
             raise ValueError(f"the structure of {self.model.name} wants one point or more, got none")
+        for one in linear:
+            self._refuse_not_finite(one)
         return Structure(*(np.any([getattr(one, name) != 0.0 for one in linear], axis=0) for name in "ABCD"))
+
+    def _refuse_not_finite(self, linear: Linear) -> None:
+        model = self.model
+        names = [name for signal in (*model.states, *model.outputs) for name in signal.scalar_names()]
+        rows = np.block([[linear.A, linear.B], [linear.C, linear.D]])
+        wrong = [name for name, row in zip(names, rows, strict=True) if not np.isfinite(row).all()]
+        if wrong:
+            raise ModelError(f"{model.name} has no finite derivative at one of the points of {', '.join(wrong)}")
 
 
 def jacobians(model: Model) -> Jacobians:
