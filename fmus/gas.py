@@ -75,15 +75,15 @@ def isentropic_flow(p_1: Any, T_1: Any, p_2: Any, T_2: Any, area: Any, gas: Gas,
     return np.where(forward, 1.0, -1.0) * area * p_u / np.sqrt(R * T_u) * Psi
 
 
-def between(W: Any, T_1: Any, T_2: Any, forward: Any = None, backward: Any = None) -> tuple[Stream, Stream]:
-    """What a flow W [kg/s] from volume 1 to volume 2 is to volume 1 and to volume 2.
+def between(W: Any, ahead: Any, T_1: Any, T_2: Any, forward: Any = None, backward: Any = None) -> tuple[Stream, Stream]:
+    """What a flow W [kg/s] from volume 1 to volume 2, if `ahead`, or the other way is to volume 1 and to volume 2.
 
     It leaves a volume at that volume's temperature T_1 or T_2 [K]. It enters the other one at the same, or, where it
-    is heated or cooled on its way, at `forward` into volume 2 and at `backward` into volume 1.
+    is heated or cooled on its way, at `forward` into volume 2 and at `backward` into volume 1. Where nothing flows
+    `ahead` still says what would, so that derivatives with respect to an area of zero are right.
     """
     into_2 = T_1 if forward is None else forward
     into_1 = T_2 if backward is None else backward
-    ahead = W >= 0.0
     return Stream(-W, np.where(ahead, T_1, into_1)), Stream(W, np.where(ahead, into_2, T_2))
 
 

@@ -115,13 +115,13 @@ def test_a_volume_with_one_stream_in_and_one_out_has_the_published_derivatives()
 
 
 def test_a_stream_carries_what_is_upstream_and_arrives_as_it_was_changed_on_its_way():
-    from_1, into_2 = between(0.02, 300.0, 900.0)
+    from_1, into_2 = between(0.02, True, 300.0, 900.0)
     assert (from_1, into_2) == (Stream(-0.02, 300.0), Stream(0.02, 300.0))
-    from_1, into_2 = between(-0.02, 300.0, 900.0)
+    from_1, into_2 = between(-0.02, False, 300.0, 900.0)
     assert (from_1, into_2) == (Stream(0.02, 900.0), Stream(-0.02, 900.0))
-    from_1, into_2 = between(0.02, 300.0, 900.0, forward=310.0, backward=850.0)
+    from_1, into_2 = between(0.02, True, 300.0, 900.0, forward=310.0, backward=850.0)
     assert (from_1.T, into_2.T) == (300.0, 310.0)
-    from_1, into_2 = between(-0.02, 300.0, 900.0, forward=310.0, backward=850.0)
+    from_1, into_2 = between(-0.02, False, 300.0, 900.0, forward=310.0, backward=850.0)
     assert (from_1.T, into_2.T) == (850.0, 900.0)
 
 
@@ -133,7 +133,8 @@ def test_two_volumes_keep_their_mass_and_energy_and_come_to_one_pressure(higher)
 
     def rates(t, x):
         p, T = x[:2], x[2:]
-        streams = between(isentropic_flow(p[0], T[0], p[1], T[1], AREA, AIR, PI_LIN), T[0], T[1])
+        W = isentropic_flow(p[0], T[0], p[1], T[1], AREA, AIR, PI_LIN)
+        streams = between(W, p[0] >= p[1], T[0], T[1])
         filled = [filling(p[i], T[i], V[i], AIR, [streams[i]]) for i in range(2)]
         return [filled[0][0], filled[1][0], filled[0][1], filled[1][1]]
 

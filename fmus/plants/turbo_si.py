@@ -189,32 +189,33 @@ def mean_values(x: Values, u: Any, p: Values) -> tuple[dict[str, Any], dict[str,
     """Derivatives of the 13 states and the outputs by name; `u` has the inputs, read by name in brackets."""
     air, exhaust = Gas(p.gamma_a, p.R_a), Gas(p.gamma_e, p.R_e)
     N, alpha, richness, u_wg, p_a, T_a = (u[signal.name] for signal in INPUTS)
+    N = np.maximum(N, 0.0)
     y: dict[str, Any] = {}
 
     y["W_af"] = turbulent_flow(p_a, T_a, x.p_af, x.T_af, p.H_af, p.dp_lin_af)
-    _, into_af = between(y["W_af"], T_a, x.T_af)
+    _, into_af = between(y["W_af"], p_a >= x.p_af, T_a, x.T_af)
     wheel = compressor(x.p_af, x.T_af, x.p_comp, x.T_comp, x.omega_tc, air, p)
     y["W_comp"], y["torque_compressor"] = wheel.W, wheel.torque
-    from_af, into_comp = between(wheel.W, x.T_af, x.T_comp, forward=wheel.T_out)
+    from_af, into_comp = between(wheel.W, wheel.W >= 0.0, x.T_af, x.T_comp, forward=wheel.T_out)
 
     y["W_ic"] = turbulent_flow(x.p_comp, x.T_comp, x.p_ic, x.T_ic, p.H_ic, p.dp_lin_ic)
-    ahead, back = (T - p.eps_ic * (T - p.T_cool) for T in (x.T_comp, x.T_ic))
-    from_comp, into_ic = between(y["W_ic"], x.T_comp, x.T_ic, forward=ahead, backward=back)
+    cooled, cooled_back = (T - p.eps_ic * (T - p.T_cool) for T in (x.T_comp, x.T_ic))
+    from_comp, into_ic = between(y["W_ic"], x.p_comp >= x.p_ic, x.T_comp, x.T_ic, forward=cooled, backward=cooled_back)
     area = p.a_0 + p.a_1 * alpha + p.a_2 * alpha**2
     y["W_th"] = isentropic_flow(x.p_ic, x.T_ic, x.p_im, x.T_im, area, air, p.PI_lin)
-    from_ic, into_im = between(y["W_th"], x.T_ic, x.T_im)
+    from_ic, into_im = between(y["W_th"], x.p_ic >= x.p_im, x.T_ic, x.T_im)
 
-    y |= _cylinders(x, np.maximum(N, 0.0) / 60.0, richness, p)
+    y |= _cylinders(x, N / 60.0, richness, p)
     y["T_pipe"] = _behind_pipes(y["W_exh"], T_a, exhaust, p)
     from_im, into_em = Stream(-y["W_c"], x.T_im), Stream(y["W_exh"], y["T_pipe"])
 
     wheel = turbine(x.p_em, x.T_em, x.p_t, x.T_t, x.omega_tc, exhaust, p)
     y["W_turbine"], y["torque_turbine"] = wheel.W, wheel.torque
-    through_turbine = between(wheel.W, x.T_em, x.T_t, forward=wheel.T_out)
+    through_turbine = between(wheel.W, x.p_em >= x.p_t, x.T_em, x.T_t, forward=wheel.T_out)
     y["W_wg"] = isentropic_flow(x.p_em, x.T_em, x.p_t, x.T_t, p.A_wg_max * p.C_d * u_wg, exhaust, p.PI_lin)
-    beside = between(y["W_wg"], x.T_em, x.T_t)
+    beside = between(y["W_wg"], x.p_em >= x.p_t, x.T_em, x.T_t)
     y["W_es"] = turbulent_flow(x.p_t, x.T_t, p_a, T_a, p.H_es, p.dp_lin_es)
-    from_t, _ = between(y["W_es"], x.T_t, T_a)
+    from_t, _ = between(y["W_es"], x.p_t >= p_a, x.T_t, T_a)
 
     y["torque"] = _torque(x, N, richness, y["cac_cycle"], p)
     dx: dict[str, Any] = {}
