@@ -19,6 +19,7 @@ from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2OK
 from fmpy.fmi3 import FMU3Model, FMU3Slave
 from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from fmus.component import Signal
 from fmus.export import build_fmu, cached_fmu
@@ -136,6 +137,30 @@ def test_rodas4_converges_with_order_four_on_a_nonlinear_problem(tmp_path: Path)
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     # The terms of order 4 and 5 have opposite signs here, so the order is approached from below.
     assert np.all(np.abs(orders - 4.0) < 0.4), (errors, orders)
+
+
+def test_rodas4_converges_with_order_four_where_its_factorisation_swaps_rows_again_and_again(tmp_path: Path) -> None:
+    # States of sizes from 1e-3 to 1e5: the largest elements of a column lie off the diagonal.
+    size = np.array([1.0, 1e5, 1e-3, 1e2, 1e4])
+    decay = -np.eye(5) + 0.8 * np.random.default_rng(3).normal(size=(5, 5))
+    matrix = size[:, None] * decay / size
+    model = Model(
+        name="scales",
+        description="x' = A x with states of very different sizes",
+        equations=lambda t, x, m, u, p: ({"x": matrix @ x.x}, {}),
+        states=(Signal("x", shape=(5,), start=tuple(size)),),
+        solver_method="rodas4",
+    )
+    stop = 0.4
+    exact = expm(decay * stop) @ np.ones(5)
+    errors = []
+    for step in (0.2, 0.1, 0.05):
+        session = Session(model, tmp_path, solver__step=step).begin()
+        session.run(stop, 1)
+        got = np.array([session.get(f"x[{i}]") for i in range(1, 6)]) / size
+        errors.append(np.abs(got - exact).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(orders - 4.0) < 0.5), (errors, orders)
 
 
 def test_rodas4_with_error_control_solves_a_stiff_oscillator_to_its_tolerance(tmp_path: Path) -> None:

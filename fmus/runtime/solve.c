@@ -46,12 +46,14 @@ static int factorise(double *a, int *pivot) {
 
 static void back_substitute(const double *a, const int *pivot, double *b) {
     int i, j;
+    /* The factors' rows were swapped as wholes, so all swaps come before the first factor is used. */
     for (i = 0; i < NX; i++) {
         double swap = b[pivot[i]];
         b[pivot[i]] = b[i];
         b[i] = swap;
-        for (j = i + 1; j < NX; j++) b[j] -= a[j * NX + i] * b[i];
     }
+    for (i = 0; i < NX; i++)
+        for (j = i + 1; j < NX; j++) b[j] -= a[j * NX + i] * b[i];
     for (i = NX - 1; i >= 0; i--) {
         for (j = i + 1; j < NX; j++) b[i] -= a[i * NX + j] * b[j];
         b[i] /= a[i * NX + i];
