@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, Component, Native, StepError, Vector
+from fmus.component import DIVERGED, ERROR, FATAL, OK, WARNING, StepError, Vector
 from fmus.units import parse_unit
 from fmus.whereabouts import doing, here
 from harness.clock import CrankGrid, TimeGrid
 from harness.coupling import Unsolved, loop_message, made_group, scales, solve_start, told, unsolved
+from harness.looptable import Callback, CClock, CFixedGrid, CLoop, CPart, CStop
 from harness.native import address, library, native_step, settle
 from harness.system import Group, Slot, System
 
@@ -22,88 +23,6 @@ from harness.system import Group, Slot, System
 STALLED, ASTRAY, ENDED, UNSOLVED = 6, 7, 8, 9
 # How many timed steps of a part loop.c keeps.
 KEPT_TIMES = 256
-
-_Call = ctypes.CFUNCTYPE(None, ctypes.c_double, ctypes.c_double)
-
-
-class _PythonPart(ctypes.Structure):
-    _fields_ = [("call", _Call), ("status", ctypes.c_int64)]
-
-
-class _Part(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("step", "self", "u", "gathered", "inputs")),
-        ("gathers", ctypes.c_int64),
-        ("y", ctypes.c_void_p),
-        *((name, ctypes.c_int64) for name in ("outputs", "always")),
-        ("group", ctypes.c_void_p),
-        ("period", ctypes.c_int64),
-        ("due", ctypes.c_char_p),
-        ("stepped", ctypes.c_int64),
-        ("reached", ctypes.c_double),
-        *((name, ctypes.c_int64) for name in ("warnings", "timed")),
-        ("took", ctypes.c_void_p),
-    ]
-
-
-class _Clock(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_double) for name in ("t0", "h")),
-        *((name, ctypes.c_void_p) for name in ("speed", "angle")),
-        *((name, ctypes.c_double) for name in ("numerator", "denominator", "origin", "slowest", "stop")),
-        ("cycle", ctypes.c_int64),
-        *((name, ctypes.c_double) for name in ("t", "next", "anchored")),
-        ("anchor", ctypes.c_int64),
-    ]
-
-
-class _FixedGrid(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_void_p) for name in ("step", "self")),
-        *((name, ctypes.c_double) for name in ("t0", "h")),
-        ("count", ctypes.c_int64),
-    ]
-
-
-class _Loop(ctypes.Structure):
-    _fields_ = [
-        ("clock", ctypes.POINTER(_Clock)),
-        ("parts", ctypes.POINTER(_Part)),
-        ("count", ctypes.c_int64),
-        ("bus", ctypes.c_void_p),
-        ("size", ctypes.c_int64),
-        ("recorded", ctypes.c_void_p),
-        ("columns", ctypes.c_int64),
-        ("every", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("here", "steering")),
-    ]
-
-
-class _Stop(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_int64) for name in ("part", "output", "k")]
-
-
-class _Callback:
-    """A part written in Python as a step that C calls; what it raises is kept, since C cannot pass it on."""
-
-    def __init__(self, component: Component, u: Vector, y: Vector) -> None:
-        self.component, self.u, self.y = component, u, y
-        self.raised: BaseException | None = None
-        self.state = _PythonPart(_Call(self._step), OK)
-
-    def native(self) -> Native:
-        """The step for C."""
-        return native_step("crankbench_python_step", self.state)
-
-    def _step(self, t: float, h: float) -> None:
-        try:
-            outputs = self.component.step(t, h, self.u.copy())
-            if len(outputs) != len(self.y):
-                raise ValueError(f"step wants to return {len(self.y)} outputs, got {len(outputs)}")
-            self.y[:] = outputs
-            self.state.status = OK
-        except BaseException as error:
-            self.raised = error
 
 
 class StartedSystem:
@@ -120,11 +39,11 @@ class StartedSystem:
         self.bus = np.array([parse_unit(s.unit).to_si(float(np.asarray(s.start))) for s in system.bus], dtype=float)
         settle()
         self._start_all()
-        self._callbacks: dict[int, _Callback] = {}
-        self._grids: dict[int, _FixedGrid] = {}
+        self._callbacks: dict[int, Callback] = {}
+        self._grids: dict[int, CFixedGrid] = {}
         self._took = np.zeros((len(system.parts), KEPT_TIMES))
         self._arrays: list[NDArray[Any]] = []
-        self._parts = (_Part * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
+        self._parts = (CPart * max(len(system.parts), 1))(*(self._entry(i) for i in range(len(system.parts))))
         self._recorded = np.array(system.recorded, dtype=np.int64)
         self._held: list[Any] = []
         groups = [*system.groups, *((system.steered,) if system.steered else ())]
@@ -138,9 +57,9 @@ class StartedSystem:
         first_places = system.recorded == tuple(range(len(system.recorded)))
         place = here()
         place.entry = place.table = ctypes.addressof(self._parts)
-        place.size = ctypes.sizeof(_Part)
+        place.size = ctypes.sizeof(CPart)
         self._clock = self._made_clock()
-        self._loop = _Loop(
+        self._loop = CLoop(
             ctypes.pointer(self._clock),
             self._parts,
             len(system.parts),
@@ -154,13 +73,13 @@ class StartedSystem:
         )
         settle()
 
-    def _made_clock(self) -> _Clock:
+    def _made_clock(self) -> CClock:
         grid = self.system.grid
         if isinstance(grid, TimeGrid):
-            return _Clock(grid.start, grid.step, denominator=1.0, cycle=1)
+            return CClock(grid.start, grid.step, denominator=1.0, cycle=1)
         assert self.system.speed is not None, "a crank clock has a speed"
         angle = None if self.system.angle is None else address(self.bus[self.system.angle :])
-        return _Clock(
+        return CClock(
             t0=grid.start,
             speed=address(self.bus[self.system.speed :]),
             angle=angle,
@@ -206,7 +125,7 @@ class StartedSystem:
         the instant returned is not `end`, `failure` says why, or the clock has `ended`. What a Python part raised that
         is no Exception, like KeyboardInterrupt, passes through.
         """
-        stop = _Stop()
+        stop = CStop()
         status = library().crankbench_advance(
             ctypes.byref(self._loop),
             ctypes.c_int64(begin),
@@ -222,7 +141,7 @@ class StartedSystem:
         self.failure = self._failure(status, stop)
         return stop.k - 1
 
-    def _failure(self, status: int, stop: _Stop) -> StepError:
+    def _failure(self, status: int, stop: CStop) -> StepError:
         if status in (STALLED, ASTRAY):
             return self._clock_failure(status, stop.k)
         slot = self.system.parts[stop.part]
@@ -251,7 +170,7 @@ class StartedSystem:
                 return StepError(unsolved(group, made, self.system), part=named, time=instant)
         raise AssertionError("only groups are given up")
 
-    def _span(self, slot: Slot, part: _Part, k: int) -> tuple[float, float]:
+    def _span(self, slot: Slot, part: CPart, k: int) -> tuple[float, float]:
         """The times [s] that a part's step to instant k led from and to."""
         grid = self.system.grid
         if isinstance(grid, TimeGrid):
@@ -320,7 +239,7 @@ class StartedSystem:
                 message = _not_finite(self.system, self.bus, place)
                 raise StepError(message, part=slot.name, time=begin, status=DIVERGED)
 
-    def _entry(self, index: int) -> _Part:
+    def _entry(self, index: int) -> CPart:
         slot = self.system.parts[index]
         gathered = np.zeros(max(len(slot.inputs), 1))
         inputs = np.array(slot.inputs, dtype=np.int64)
@@ -331,7 +250,7 @@ class StartedSystem:
         y = self.bus[slot.outputs.start : slot.outputs.stop]
         native = slot.component.native()
         if native is None:
-            self._callbacks[index] = _Callback(slot.component, u, y)
+            self._callbacks[index] = Callback(slot.component, u, y)
             native = self._callbacks[index].native()
         reading = getattr(native, "reading", None)
         grouped = any(one.first <= index < one.first + one.count for one in self.system.groups)
@@ -339,9 +258,9 @@ class StartedSystem:
             native, u, direct = reading(slot.inputs), self.bus, True
         step, itself = native
         if slot.pace.own:
-            self._grids[index] = _FixedGrid(step, itself, self.system.grid.start, slot.pace.own)
+            self._grids[index] = CFixedGrid(step, itself, self.system.grid.start, slot.pace.own)
             step, itself = native_step("crankbench_grid_step", self._grids[index])
-        return _Part(
+        return CPart(
             step=step,
             self=itself,
             u=address(u),
