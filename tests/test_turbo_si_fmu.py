@@ -124,7 +124,7 @@ def test_its_directional_derivatives_match_differences_of_its_values(parameter_s
         component.close()
         assert len(found) == (13 + len(OUTPUT_NAMES)) * (13 + len(INPUT_NAMES))
         worst = max(found, key=lambda one: one.off)
-        # Central differences over 1e-5 of a value are good to 1e-10 of it; where an opening is shut there is but one side,
+        # Central differences over 1e-5 of a value are good to 1e-10 of it; where an opening is shut there is one side,
         # good to 1e-5 at best.
         assert worst.off * derivatives.TOLERANCE < 1e-5, worst
 
