@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.serving import Recorded, Signal, Simulate, Task, serve, signals
+from benchmarks.serving import Recorded, Signal, Simulate, Stopwatch, Task, serve, signals
 
 
 def load(recording: str) -> Simulate:
@@ -38,11 +37,11 @@ def _simulate(ecospy: Any, task: Task, recording: str) -> tuple[float, Recorded]
                 simulation.add_csv_writer(str(table), identifiers=[_name(signal) for signal in recorded])
             simulation.init(0)
             _drive(simulation, task, task["before"])
-            begin = time.perf_counter()
+            watch = Stopwatch()
             simulation.step(task["half"])
             _drive(simulation, task, task["after"])
             simulation.step(task["steps"] - task["half"])
-            seconds = time.perf_counter() - begin
+            seconds = watch.seconds()
             last = [_value(simulation, signal) for signal in recorded]
             simulation.terminate()
         rows = _read(table, recorded) if recording == "everything" else np.array([last])

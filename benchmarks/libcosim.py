@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import numpy as np
 
-from benchmarks.serving import Recorded, Signal, Simulate, Task, serve, signals
+from benchmarks.serving import Recorded, Signal, Simulate, Stopwatch, Task, serve, signals
 
 NANOSECONDS = 1_000_000_000
 
@@ -44,11 +43,11 @@ def load(recording: str) -> Simulate:
         override = CosimManipulator.CosimManipulator.create_override()
         if task["driven"]:
             execution.add_manipulator(override)
-        begin = time.perf_counter()
+        watch = Stopwatch()
         execution.simulate_until(task["half"] * step)
         _from_now_on(override, index, task)
         execution.simulate_until(task["steps"] * step)
-        seconds = time.perf_counter() - begin
+        seconds = watch.seconds()
         rows = np.empty((0, len(series)))
         if recording == "everything":
             rows = np.column_stack([_samples(observer, index, signal, task["steps"]) for _, signal in series])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,7 +23,7 @@ from benchmarks.measure import Measure, in_turn
 from benchmarks.orders import jacobi
 from benchmarks.page import replace_section, write_page
 from benchmarks.peer_process import PeerProcess, Unavailable, task_of
-from benchmarks.serving import Recorded
+from benchmarks.serving import Recorded, Stopwatch
 from benchmarks.setups import Setup, feedthroughs, oscillator, plant_and_observer
 
 STEPS = 400
@@ -109,6 +111,12 @@ def test_a_peer_that_dies_is_an_error_with_its_last_words(tmp_path: Path, monkey
         peer()
 
 
+def test_the_time_a_peer_waits_for_the_machine_does_not_count():
+    watch = Stopwatch()
+    time.sleep(0.2)
+    assert 0.0 <= watch.seconds() < 0.1
+
+
 def test_the_fastest_of_interleaved_rounds_counts():
     turns: list[str] = []
     times = iter([3.0, 30.0, 1.0, 20.0, 2.0, 10.0])
@@ -150,12 +158,24 @@ def test_the_long_run_counts_every_row_and_sees_the_memory_of_the_worker():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells of processes that nobody waited for")
 def test_the_peak_counts_a_process_that_nobody_waited_for():
-    holding = "held = bytearray(200_000_000); import time; time.sleep(0.5)"
-    starting = f"import subprocess, sys, time; subprocess.Popen([sys.executable, '-c', {holding!r}]); time.sleep(0.4)"
+    holding = "import time; held = bytearray(200_000_000); print(flush=True); time.sleep(1.0)"
+    starting = (
+        "import subprocess, sys, time\n"
+        f"held = subprocess.Popen([sys.executable, '-c', {holding!r}], stdout=subprocess.PIPE)\n"
+        "held.stdout.readline()\n"
+        "time.sleep(0.5)\n"
+    )
     command = [sys.executable, "-m", "benchmarks.peak", sys.executable, "-c", starting]
     seen = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-    assert seen["code"] == 0 and seen["seconds"] > 0.4
+    assert seen["code"] == 0 and seen["seconds"] > 0.5
     assert 200e6 < seen["largest"] < 300e6 and 200e6 < seen["together"] < 300e6
+
+
+def test_a_measure_that_nobody_knows_is_refused_with_those_there_are():
+    command = [sys.executable, "-m", "benchmarks", "--only", "van-der-poll"]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "300"})
+    assert ended.returncode == 2
+    assert "no measure is named 'van-der-poll'; there are export, set-up, light, plant-and-observer" in ended.stderr
 
 
 MEASURES = [Measure("loop", 1e-6, 2e-6, "peer", 1.0), Measure("memory", 3.0, 4.0, "limit", None, "B")]
