@@ -1,1 +1,1 @@
-"""How fast the platform is beside hand-written C, PythonFMU and FMPy, all measured in one run."""
+"""How fast the platform is beside hand-written C, PythonFMU, FMPy, ecos and libcosim, all measured in one run."""
