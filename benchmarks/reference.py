@@ -19,8 +19,9 @@ def optimised(model: str) -> Path:
     """The FMU (FMI 2.0) with a library built from the sources in it with -O2, as the project builds all sources.
 
     The library it is distributed with is not optimised: a step of its Van der Pol costs 0.14 microseconds where this
-    one's costs 0.04, so that it would hide what a loop costs. Two things in the description of Feedthrough, of which
-    ecos dies, are mended or left out: a list of dependencies with fewer kinds than entries, and the enumeration.
+    one's costs 0.04, so that it would hide what a loop costs. In the description of Feedthrough a list of
+    dependencies with fewer kinds than entries is mended, of which ecos dies, and the enumeration is left out, which
+    ecos cannot connect.
     """
     shipped = reference_fmu(model)
     description = describe(shipped)
