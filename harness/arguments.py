@@ -222,7 +222,7 @@ class OneInTime(One):
 def scaled_error(pair: Pair, scale: float, window: Window) -> Vector:
     """(estimate - truth)/scale by row, shape (n,), an array of its own."""
     truth, estimate = pair
-    error = window.column(estimate) - window.column(truth)
+    error = window.difference(estimate, truth)
     if scale != 1.0:
         error /= scale
     return error

@@ -22,7 +22,7 @@ _SIGNAL = re.compile(r"[A-Za-z_]\w*\.\S+$")
 
 def rmse(error: Vector) -> float:
     """Root of the mean square of an error or error norm: sqrt(mean(e^2)); error (n,), in its unit, NaN where n = 0."""
-    return float(np.sqrt(np.mean(error**2))) if len(error) else np.nan
+    return float(np.sqrt(np.dot(error, error) / len(error))) if len(error) else np.nan
 
 
 def max_error(error: Vector) -> float:

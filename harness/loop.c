@@ -3,21 +3,29 @@
 /* The sum of some numbers: it is not finite where one of them is not, or where it overflows itself. */
 static inline double sum(const double *values, int64_t count)
 {
-    double total = 0.0;
-    for (int64_t j = 0; j < count; j++) total += values[j];
-    return total;
+    double even = 0.0, odd = 0.0; /* two chains of additions take less time than one */
+    int64_t j = 0;
+    for (; j + 1 < count; j += 2) {
+        even += values[j];
+        odd += values[j + 1];
+    }
+    return j < count ? even + odd + values[j] : even + odd;
 }
 
 /* Copies numbers and returns their sum. */
 static inline double copied(double *to, const double *values, int64_t count)
 {
-    double total = 0.0;
-    for (int64_t j = 0; j < count; j++) {
-        const double value = values[j];
+    double even = 0.0, odd = 0.0;
+    int64_t j = 0;
+    for (; j + 1 < count; j += 2) {
+        const double value = values[j], other = values[j + 1];
         to[j] = value;
-        total += value;
+        to[j + 1] = other;
+        even += value;
+        odd += other;
     }
-    return total;
+    if (j < count) even += to[j] = values[j];
+    return even + odd;
 }
 
 /* Steps from instant `from` to instant `to` and writes a row of time and `columns` numbers for each that `every`

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -64,6 +64,10 @@ class Record:
             if signal.name == name:
                 return self.values[:, column]
         raise KeyError(unknown(name, self.names, "recorded signal"))
+
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[NDArray[np.float64], ...]]:
+        """Some signals in SI, in one piece, each shape (n,). Raises KeyError as `[]` does."""
+        yield tuple(self[name] for name in names)
 
 
 def write_signals(record: Record, path: Path, group: GroupSize = GROUP) -> None:

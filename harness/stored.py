@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,17 +38,30 @@ class StoredRecord:
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """One signal, shape (n,), in SI. Raises KeyError with the nearest recorded name."""
+        self._known(name)
+        return self._read(name)
+
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[NDArray[np.float64], ...]]:
+        """Some signals in SI, a row group at a time, each shape (rows,). Raises KeyError as `[]` does."""
+        for name in names:
+            self._known(name)
+        return self._groups(names)
+
+    def _known(self, name: str) -> None:
         if name not in self._columns or name in LEADING:
             raise KeyError(unknown(name, [signal.name for signal in self.signals], "recorded signal"))
-        return self._read(name)
+
+    def _groups(self, names: Sequence[str]) -> Iterator[tuple[NDArray[np.float64], ...]]:
+        with pq.ParquetFile(self._path) as file:
+            for group in range(file.num_row_groups):  # batches of rows would be read with all of the column packed
+                piece = file.read_row_group(group, columns=list(dict.fromkeys(names)), use_threads=False)
+                yield tuple(piece.column(name).to_numpy() for name in names)
 
     def _read(self, name: str) -> NDArray[np.float64]:
         values, row = np.empty(self._rows), 0
-        with pq.ParquetFile(self._path) as file:
-            for group in range(file.num_row_groups):  # batches of rows would be read with all of the column packed
-                piece = file.read_row_group(group, columns=[name], use_threads=False)
-                values[row : row + piece.num_rows] = piece.column(name).to_numpy()
-                row += piece.num_rows
+        for (piece,) in self._groups([name]):
+            values[row : row + len(piece)] = piece
+            row += len(piece)
         return values
 
 

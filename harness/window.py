@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -37,6 +38,9 @@ class Recorded(Protocol):
 
     def __getitem__(self, name: str) -> Vector:
         """One signal, shape (n,), in SI."""
+
+    def pieces(self, names: Sequence[str]) -> Iterator[tuple[Vector, ...]]:
+        """Some signals in SI, by stretches of rows that follow each other, each shape (rows,)."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +78,11 @@ class Window:
     def column(self, name: str) -> Vector:
         """A signal in SI, shape (n,)."""
         return self.record[name][self.rows]
+
+    def difference(self, name: str, other: str) -> Vector:
+        """One signal minus another, shape (n,), without both of them in memory as a whole: a new array."""
+        found = np.concatenate([one - minus for one, minus in self.record.pieces([name, other])] or [np.empty(0)])
+        return found[self.rows]
 
 
 def window(record: Recorded, after: Measure | None, until: Measure | None, angle: str | None) -> Window:
