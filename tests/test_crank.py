@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from crank_parts import SPEED
+from crank_parts import OSCILLATOR, SPEED
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from oracle import run_plainly
 
 from fmus.component import ConfigurationError
+from fmus.export import build_fmu
 from harness.campaign import read_campaign
 from harness.cases import execute
 from harness.record import Record, read_signals
@@ -172,6 +174,45 @@ def test_a_part_may_keep_steps_in_time_of_its_own_and_never_shows_the_future() -
     assert np.array_equal(record["part.h"][moved], np.full(len(moved), 0.9 * 1e-3))
     assert np.all(record["part.t"][moved] + 0.9e-3 <= record.time[moved] + 1e-9)
     assert any("steps of 0.0009 s of its own" in note["text"] for note in record.tolerated)
+
+
+def _of_one_length(folder: Path, step: str) -> Path:
+    """The oscillator as an FMU of FMI 3 that takes only steps of one length, and where `step` is given says which."""
+    whole, path = folder / "whole.fmu", folder / "fixed.fmu"
+    build_fmu(OSCILLATOR, whole, fmi=3)
+    told = f'fixedInternalStepSize="{step}"' if step else ""
+    with zipfile.ZipFile(whole) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                flag = b'canHandleVariableCommunicationStepSize="true"'
+                assert flag in content
+                content = content.replace(flag, flag.replace(b"true", b"false") + b" " + told.encode())
+            target.writestr(name, content)
+    return path
+
+
+def test_an_fmu_that_takes_steps_of_one_length_only_keeps_to_its_grid(tmp_path: Path) -> None:
+    """The oscillator under a constant force on its grid is the same run on a clock in time, sampled where it stands."""
+    parts = {
+        "engine": accelerating("200 rad/s2"),
+        "force": {"use": "source", "unit": "N.m", "constant": "3 N.m"},
+        "rod": {"use": str(_of_one_length(tmp_path, "0.0005")), "wires": {"force": "force"}},
+    }
+    record = run(system(parts, {"stop": "30 rev"}))
+    assert any("steps of 0.0005 s of its own" in note["text"] for note in record.tolerated)
+    alone = {"force": parts["force"], "rod": {"use": "crank_parts:OSCILLATOR", "wires": {"force": "force"}}}
+    clock = {"time": {"step": "0.5 ms", "stop": f"{record.time[-1] + 1e-3!r} s"}}
+    in_time = run(wire(Scenario.model_validate({"clock": clock, "parts": alone})))
+    latest = np.floor(record.time / 0.0005 + 1e-6).astype(int)
+    assert np.array_equal(record["rod.x"], in_time["rod.x"][latest])
+
+
+def test_an_fmu_that_says_no_length_is_to_be_given_one(tmp_path: Path) -> None:
+    rod = {"use": str(_of_one_length(tmp_path, "")), "wires": {"force": "force"}}
+    parts = {"engine": ENGINE, "force": {"use": "source", "unit": "N.m", "constant": "3 N.m"}, "rod": rod}
+    assert "rod.every wants a time, like 1 ms: this FMU takes only steps of one length" in problems(parts)
+    assert run(system({**parts, "rod": {**rod, "every": "1 ms"}})).outcome == "ok"
 
 
 def test_a_sampled_model_samples_at_each_step_of_a_crank_clock() -> None:
