@@ -202,7 +202,7 @@ def test_an_fmu_that_takes_steps_of_one_length_only_keeps_to_its_grid(tmp_path: 
     record = run(system(parts, {"stop": "30 rev"}))
     assert any("steps of 0.0005 s of its own" in note["text"] for note in record.tolerated)
     alone = {"force": parts["force"], "rod": {"use": "crank_parts:OSCILLATOR", "wires": {"force": "force"}}}
-    clock = {"time": {"step": "0.5 ms", "stop": f"{record.time[-1] + 1e-3!r} s"}}
+    clock = {"time": {"step": "0.5 ms", "stop": f"{float(record.time[-1]) + 1e-3!r} s"}}
     in_time = run(wire(Scenario.model_validate({"clock": clock, "parts": alone})))
     latest = np.floor(record.time / 0.0005 + 1e-6).astype(int)
     assert np.array_equal(record["rod.x"], in_time["rod.x"][latest])
