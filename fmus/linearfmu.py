@@ -11,7 +11,7 @@ import numpy as np
 
 from fmus.component import WARNING, ConfigurationError, Signal, StepError, Vector
 from fmus.derivatives import TOLERANCE, Questioned
-from fmus.description import FmuDescription, Validation
+from fmus.description import FmuDescription, Validation, describe
 from fmus.differences import Range, differences
 from fmus.fmu import FmuComponent, load_fmu
 from fmus.modelstructure import ModelStructure, read_structure
@@ -37,9 +37,7 @@ def linear_fmu(source: Source) -> ExchangeFmu | InitialFmu:
 
     Raises ConfigurationError: it gives no derivatives of states in either way; each rung and why it does not hold.
     """
-    component = load_fmu(source.path, starts=source.starts, validation=source.validation, units=source.units, kind=None)
-    description = component.description
-    component.close()
+    description = describe(source.path, source.validation)
     if "me" in description.kinds:
         return ExchangeFmu(source)
     structure = read_structure(description)
@@ -346,11 +344,11 @@ def _chosen(
         off = np.where(np.isfinite(off), off, np.inf)
         if off.max(initial=0.0) <= TOLERANCE:
             told = f"{given.size} directional derivatives agree with differences within {off.max(initial=0.0):.1e}"
-            return Jacobians(*parts(given), DIRECTIONAL, float(off.max(initial=0.0)), told)
+            return Jacobians(*parts(given), DIRECTIONAL, max(float(off.max()), float(np.finfo(float).eps)), told)
         i, j = np.unravel_index(int(off.argmax()), off.shape)
         row = [*(f"der({s.name})" for s in system.states), *(s.name for s in system.outputs)][i]
         column = (*system.states, *system.inputs)[j].name
         told = f"its directional derivative d {row} / d {column} is {given[i, j]:.6g}, by differences "
         told += f"{quotients[i, j]:.6g}"
-    error = float((errors * sizes * per_row).max(initial=0.0))
+    error = float((errors * sizes * per_row).max(initial=np.finfo(float).eps))
     return Jacobians(*parts(quotients), DIFFERENCES, error, told)
