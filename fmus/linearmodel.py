@@ -52,7 +52,7 @@ class LinearModel:
         shown = [i for i, s in enumerate(self.states) if not s.local]
         declared = [(i, s) for i, s in enumerate(_scalars(model.outputs)) if s.kind == "real"]
         self.outputs = (*(self.states[i] for i in shown), *(s for _, s in declared))
-        self._shown, self._declared_outputs = shown, [i for i, _ in declared]
+        self.shown_states, self.declared_outputs = shown, [i for i, _ in declared]
         self._x, self._y = (_units(signals) for signals in (self.states, self.outputs))
         self._u = _units(self._all_inputs)
         self._function = self._with_jacobians()
@@ -66,7 +66,7 @@ class LinearModel:
         arguments = self.traced.equations.sx_in()
         _, x, _, u, _ = arguments
         dx, y = self.traced.equations.call(arguments)
-        seen = ca.vertcat(x[self._shown], y[self._declared_outputs]) if self.outputs else ca.SX(0, 1)
+        seen = ca.vertcat(x[self.shown_states], y[self.declared_outputs]) if self.outputs else ca.SX(0, 1)
         both = ca.vertcat(dx, seen)
         return ca.Function("linear", arguments, [both, ca.jacobian(both, x), ca.jacobian(both, u)])
 
