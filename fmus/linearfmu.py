@@ -15,7 +15,7 @@ from fmus.description import FmuDescription, Validation, describe
 from fmus.differences import Range, differences
 from fmus.fmu import FmuComponent, load_fmu
 from fmus.modelstructure import ModelStructure, read_structure
-from fmus.statespace import Jacobians, scales
+from fmus.statespace import Partials, scales
 from fmus.units import Unit, parse_unit
 from fmus.variable import Variable
 
@@ -100,6 +100,7 @@ class ExchangeFmu:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._component = self._made({})
+        self.name = self._component.name
         description = self._component.description
         self._named = {name: s for s in _scalars(description.variables) for name in [s.name]}
         self.structure = read_structure(description)
@@ -179,7 +180,7 @@ class ExchangeFmu:
         """A by plain central differences, shape (n, n)."""
         return _slopes(self, x, u)
 
-    def jacobians(self, x: Vector, u: Vector) -> Jacobians:
+    def partials(self, x: Vector, u: Vector) -> Partials:
         """By directional derivatives where the FMU gives them and they bear out, else by differences."""
         quotients, errors = differences(self._both, np.concatenate([x, u]), _ranges(self.states, self.inputs))
         sizes = np.concatenate([scales(self.states), scales(self.inputs)])
@@ -242,6 +243,7 @@ class InitialFmu:
             source.path, starts=source.starts, validation=source.validation, units=source.units, kind="cs"
         )
         self.structure = structure
+        self.name = self._component.name
         self._description = self._component.description
         named = {s.name: s for s in _scalars(self._description.variables)}
         self._states = [named[name] for name in structure.states]
@@ -272,7 +274,7 @@ class InitialFmu:
         """A by plain central differences, shape (n, n)."""
         return _slopes(self, x, u)
 
-    def jacobians(self, x: Vector, u: Vector) -> Jacobians:
+    def partials(self, x: Vector, u: Vector) -> Partials:
         """By directional derivatives where they bear out. Raises ConfigurationError: they do not."""
         quotients, errors = differences(self._both, np.concatenate([x, u]), _ranges(self.states, self.inputs))
         asked = self._questioned(x, u)
@@ -327,7 +329,7 @@ def _ranges(states: Sequence[Signal], inputs: Sequence[Signal]) -> list[Range]:
 
 def _chosen(
     system: ExchangeFmu | InitialFmu, quotients: Vector, errors: Vector, given: Vector | None, told: str, sizes: Vector
-) -> Jacobians:
+) -> Partials:
     """The directional derivatives where they agree with the quotients within TOLERANCE, else the quotients.
 
     Differences and errors of an entry count relative to what all entries of its row make of changes of these sizes.
@@ -344,11 +346,11 @@ def _chosen(
         off = np.where(np.isfinite(off), off, np.inf)
         if off.max(initial=0.0) <= TOLERANCE:
             told = f"{given.size} directional derivatives agree with differences within {off.max(initial=0.0):.1e}"
-            return Jacobians(*parts(given), DIRECTIONAL, max(float(off.max()), float(np.finfo(float).eps)), told)
+            return Partials(*parts(given), DIRECTIONAL, max(float(off.max()), float(np.finfo(float).eps)), told)
         i, j = np.unravel_index(int(off.argmax()), off.shape)
         row = [*(f"der({s.name})" for s in system.states), *(s.name for s in system.outputs)][i]
         column = (*system.states, *system.inputs)[j].name
         told = f"its directional derivative d {row} / d {column} is {given[i, j]:.6g}, by differences "
         told += f"{quotients[i, j]:.6g}"
     error = float((errors * sizes * per_row).max(initial=np.finfo(float).eps))
-    return Jacobians(*parts(quotients), DIFFERENCES, error, told)
+    return Partials(*parts(quotients), DIFFERENCES, error, told)

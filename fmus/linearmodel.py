@@ -9,15 +9,16 @@ import casadi as ca
 import numpy as np
 
 from fmus.component import Signal, Vector
+from fmus.jacobians import Point, jacobians
 from fmus.model import Model, ModelError, unknown
-from fmus.statespace import Jacobians
+from fmus.statespace import Partials
 from fmus.tracing import Traced, trace
 from fmus.units import Unit, parse_unit
 
 EXACT = "exact"
 
 # t, x, m, u, p in the units that the model declares.
-Place = tuple[float, Vector, Vector, Vector, Vector]
+Arguments = tuple[float, Vector, Vector, Vector, Vector]
 
 
 class LinearModel:
@@ -31,7 +32,7 @@ class LinearModel:
     """
 
     def __init__(self, model: Model, starts: Mapping[str, float] | None = None) -> None:
-        self.model = model
+        self.model, self.name = model, model.name
         self.traced: Traced = trace(model)
         if not model.states:
             raise ModelError(f"{model.name} wants continuous states to be made linear, it has none")
@@ -55,20 +56,12 @@ class LinearModel:
         self.shown_states, self.declared_outputs = shown, [i for i, _ in declared]
         self._x, self._y = (_units(signals) for signals in (self.states, self.outputs))
         self._u = _units(self._all_inputs)
-        self._function = self._with_jacobians()
+        self._jacobians = jacobians(model)
 
     @property
     def _declared(self) -> tuple[Sequence[Signal], ...]:
         model = self.model
         return model.states, model.inputs, model.parameters, model.discrete
-
-    def _with_jacobians(self) -> ca.Function:
-        arguments = self.traced.equations.sx_in()
-        _, x, _, u, _ = arguments
-        dx, y = self.traced.equations.call(arguments)
-        seen = ca.vertcat(x[self.shown_states], y[self.declared_outputs]) if self.outputs else ca.SX(0, 1)
-        both = ca.vertcat(dx, seen)
-        return ca.Function("linear", arguments, [both, ca.jacobian(both, x), ca.jacobian(both, u)])
 
     def native_point(self, x: Vector, u: Vector) -> tuple[Vector, Vector]:
         """States and all inputs in the units that the model declares."""
@@ -78,27 +71,33 @@ class LinearModel:
 
     def values(self, x: Vector, u: Vector) -> tuple[Vector, Vector]:
         """x' and y, SI."""
-        both = self._called(x, u)[0].ravel()
-        n = len(self.states)
-        factors = _factors(self._x)
-        y = np.array([unit.to_si(v) for unit, v in zip(self._y, both[n:], strict=True)], dtype=float)
-        return both[:n] * factors, y
+        at = self._point(x, u)
+        rates, declared = self._jacobians.values(at)
+        y = np.concatenate([at.x[self.shown_states], declared[self.declared_outputs]])
+        return rates * _factors(self._x), np.array([u.to_si(v) for u, v in zip(self._y, y, strict=True)], dtype=float)
 
     def slopes(self, x: Vector, u: Vector) -> Vector:
         """A, shape (n, n)."""
-        return self.jacobians(x, u).A
+        return self.partials(x, u).A
 
-    def jacobians(self, x: Vector, u: Vector) -> Jacobians:
+    def partials(self, x: Vector, u: Vector) -> Partials:
         """A, B, C, D in SI, exact but for rounding. Raises ModelError: an entry is not finite; it is named."""
-        _, by_x, by_u = self._called(x, u)
-        n = len(self.states)
-        over = np.concatenate([_factors(self._x), _factors(self._y)])[:, None]
-        by_x = by_x * over / _factors(self._x)
-        by_u = (by_u * over / _factors(self._u))[:, self._real_inputs]
-        self._refuse_not_finite(by_x)
-        return Jacobians(
-            by_x[:n], by_u[:n], by_x[n:], by_u[n:], EXACT, float(np.finfo(float).eps), "derivatives of its equations"
-        )
+        found = self._jacobians.at(self._point(x, u))
+        n, states = len(self.states), _factors(self._x)
+        over, inputs = _factors(self._y)[:, None], _factors(self._u)[self._real_inputs]
+        shown = np.eye(n)[self.shown_states]
+        C = np.concatenate([shown, found.C[self.declared_outputs]])
+        D = np.concatenate([np.zeros((len(shown), len(self._u))), found.D[self.declared_outputs]])
+        A = found.A * states[:, None] / states
+        C = C * over / states
+        self._refuse_not_finite(np.concatenate([A, C]))
+        B = found.B[:, self._real_inputs] * states[:, None] / inputs
+        D = D[:, self._real_inputs] * over / inputs
+        return Partials(A, B, C, D, EXACT, float(np.finfo(float).eps), "derivatives of its equations")
+
+    def _point(self, x: Vector, u: Vector) -> Point:
+        states, inputs = self.native_point(x, u)
+        return Point(states, self.discrete, inputs, self.parameters)
 
     def enter(self, x: Vector, u: Vector) -> None:
         """Discrete states become those that the transition gives at this point.
@@ -119,7 +118,7 @@ class LinearModel:
                 return
         raise ModelError(f"{self.model.name}: its discrete states do not settle at this point")
 
-    def _above(self, place: Place) -> Vector:
+    def _above(self, place: Arguments) -> Vector:
         """The side of each indicator; within a nanosecond of its zero the one that it goes to."""
         z = np.asarray(self.traced.indicators(*place), dtype=float).ravel()
         symbols = self.traced.indicators.sx_in()
@@ -128,10 +127,6 @@ class LinearModel:
         rate = ca.Function("rate", symbols, [ca.jtimes(expression, symbols[1], dx)])
         dz = np.asarray(rate(*place), dtype=float).ravel()
         return np.where(np.abs(z) <= 1e-9 * np.abs(dz), dz > 0.0, z > 0.0).astype(float)
-
-    def _called(self, x: Vector, u: Vector) -> list[Vector]:
-        states, inputs = self.native_point(x, u)
-        return [np.asarray(r, dtype=float) for r in self._function(0.0, states, self.discrete, inputs, self.parameters)]
 
     def _refuse_not_finite(self, by_x: Vector) -> None:
         bad = np.argwhere(~np.isfinite(by_x))

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from fmus.component import Signal, Vector
+from fmus.jacobians import Point
+from fmus.steady import SteadyError, steady_state
 from fmus.units import parse_unit
 
 # Rates this small, by `imbalance`, are rest: a tenth of a millionth of what the states' sizes could set in motion is
 # above what rounding leaves, and moves no entry of A by more than that share of itself.
 AT_REST = 1e-7
-# What a step towards an equilibrium may change of a state, of its value or its nominal value.
-LONGEST = 0.3
-MOST_STEPS = 1000
-
-
-class SettlingError(ValueError):
-    """No equilibrium was found; the message says which state moves on."""
+# How often the discrete states may turn out to be others where a system rests.
+_MOST_MODES = 20
 
 
 class Differentiable(Protocol):
     """What can be made linear: scalars in a fixed order; values and derivatives at states x and inputs u, all in SI."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
 
     @property
     def states(self) -> Sequence[Signal]:
@@ -44,7 +45,7 @@ class Differentiable(Protocol):
     def slopes(self, x: Vector, u: Vector) -> Vector:
         """A as fast as it can be had, for finding equilibria."""
 
-    def jacobians(self, x: Vector, u: Vector) -> Jacobians:
+    def partials(self, x: Vector, u: Vector) -> Partials:
         """The partial derivatives, as good as they can be had."""
 
     def enter(self, x: Vector, u: Vector) -> None:
@@ -52,7 +53,7 @@ class Differentiable(Protocol):
 
 
 @dataclass(frozen=True)
-class Jacobians:
+class Partials:
     """A = dx'/dx (n, n), B = dx'/du (n, m), C = dy/dx (q, n), D = dy/du (q, m), and where they come from.
 
     `rung` names what gave them, `error` bounds the relative error of an entry as far as is known, `evidence` says how.
@@ -139,7 +140,7 @@ def linearised(system: Differentiable, x: Vector, u: Vector) -> StateSpace:
     """The system made linear at states x and inputs u."""
     system.enter(x, u)
     rates, y0 = system.values(x, u)
-    found = system.jacobians(x, u)
+    found = system.partials(x, u)
     signals = tuple(system.states), tuple(system.inputs), tuple(system.outputs)
     matrices = found.A, found.B, found.C, found.D
     return StateSpace(*matrices, *signals, x, u, y0, rates, found.rung, found.error, found.evidence)
@@ -156,64 +157,53 @@ def imbalance(A: Vector, rates: Vector, scale: Vector) -> Vector:
 
 
 def settle(system: Differentiable, x: Vector, u: Vector) -> Vector:
-    """States at which nothing moves with inputs u, found from x; shape (n,).
+    """States at which nothing moves with inputs u, shape (n,): those that the system goes to from x by itself.
 
-    Implicit Euler steps that grow as the rates shrink, which follow a stable system to rest and end as Newton's method
-    (pseudo-transient continuation: Kelley and Keyes, SIAM J. Numer. Anal. 35(2), 1998). Discrete values are those that
-    belong to where it ends.
+    See `fmus.steady`. Discrete values are those that belong to where it ends. Where it is at rest already, it stays,
+    though that may be no stable equilibrium.
 
-    Raises SettlingError: there is no such point near, or it is not reached.
+    Raises SteadyError: it does not come to rest, or not to one point; the state in the way is named.
     """
-    for _ in range(20):
-        system.enter(x, u)
-        x = _settled(system, x, u)
+    for _ in range(_MOST_MODES):
         system.enter(x, u)
         rates, _ = system.values(x, u)
-        if _worst(system.slopes(x, u), rates, scales(system.states)) <= AT_REST:
+        if imbalance(system.slopes(x, u), rates, scales(system.states)).max(initial=0.0) <= AT_REST:
             return x
-    raise SettlingError("no equilibrium: at rest the discrete states are others, with which it moves again")
+        x = steady_state(_Evaluated(system), Point(x, np.empty(0), u, np.empty(0))).point.x
+    raise SteadyError(f"{system.name} has other discrete states where it rests, with which it moves again")
 
 
-def _worst(A: Vector, rates: Vector, scale: Vector) -> float:
-    return float(imbalance(A, rates, scale).max(initial=0.0))
+class _Declared(NamedTuple):
+    name: str
+    states: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
 
 
-def _settled(system: Differentiable, x: Vector, u: Vector) -> Vector:
-    scale = scales(system.states)
-    rates, _ = system.values(x, u)
-    A = system.slopes(x, u)
-    # The first step lasts as long as the fastest state needs for a hundredth of its way.
-    h = 1e-2 / max(float(np.abs(rates / scale).max(initial=0.0)), float(np.abs(A).max(initial=0.0)), 1e-12)
-    best, best_x, idle = _worst(A, rates, scale), x, 0
-    for _ in range(MOST_STEPS):
-        if best == 0.0 or (best <= AT_REST and idle >= 3):
-            return best_x
-        try:
-            step = np.linalg.solve(np.eye(len(x)) / h - A, rates)
-        except np.linalg.LinAlgError:
-            h *= 0.5
-            continue
-        if not np.all(np.abs(step) <= LONGEST * np.maximum(np.abs(x), scale)):
-            h *= 0.25
-            if h < 1e-12 / max(float(np.abs(A).max(initial=0.0)), 1e-12):
-                break
-            continue
-        moved, _ = system.values(x + step, u)
-        size = float(np.linalg.norm(rates / scale)), float(np.linalg.norm(moved / scale))
-        if not np.isfinite(size[1]):
-            h *= 0.25
-            continue
-        x, rates = x + step, moved
-        A = system.slopes(x, u)
-        h = min(h * (1.2 * min(max(size[0] / size[1], 0.5), 4.0) if size[1] > 0.0 else 4.0), 1e12)
-        reached = _worst(A, rates, scale)
-        idle = 0 if reached < 0.5 * best else idle + (best <= AT_REST)
-        if reached < best:
-            best, best_x = reached, x
-    if best <= AT_REST:
-        return best_x
-    rates, _ = system.values(best_x, u)
-    raise SettlingError(f"no equilibrium found: {unrest(system.states, system.slopes(best_x, u), rates)}")
+class _Slopes(NamedTuple):
+    A: Vector
+
+
+class _Evaluated:
+    """A system as the search for a steady state asks for it, in SI."""
+
+    def __init__(self, system: Differentiable) -> None:
+        self._system = system
+        self.model = _Declared(system.name, *(tuple(map(_in_si, s)) for s in (system.states, system.outputs)))
+
+    def values(self, at: Point) -> tuple[Vector, Vector]:
+        """x' and y."""
+        return self._system.values(at.x, at.u)
+
+    def at(self, at: Point) -> _Slopes:
+        """A."""
+        return _Slopes(self._system.slopes(at.x, at.u))
+
+
+def _in_si(signal: Signal) -> Signal:
+    unit = parse_unit(signal.unit)
+    nominal = abs(unit.factor * signal.nominal) or 1.0
+    low, high = unit.to_si(signal.minimum), unit.to_si(signal.maximum)
+    return replace(signal, unit=si_unit(signal), nominal=nominal, minimum=low, maximum=high)
 
 
 def unrest(states: Sequence[Signal], A: Vector, rates: Vector) -> str:

@@ -112,7 +112,7 @@ def gramian_factors(plant: Plant) -> Vector:
         if tau > 0.0:
             # With the sensor's own state first, the lower right block of R is the factor of the Schur complement.
             order = [n, *range(n)]
-            factor = np.linalg.qr(factor[:, order], mode="r")[1:, 1:]
+            factor = _triangular(factor[:, order], n + 1)[1:, 1:]
         found[i] = factor
     return found
 
@@ -136,7 +136,7 @@ def gramian_factor(A: Vector, C: Vector) -> Vector:
 
 
 def _triangular(rows: Vector, n: int) -> Vector:
-    factor = np.linalg.qr(rows, mode="r")
+    factor = np.asarray(np.linalg.qr(rows, mode="r"))
     return np.concatenate([factor, np.zeros((n - len(factor), n))]) if len(factor) < n else factor
 
 
@@ -199,7 +199,8 @@ def sampled(A: Vector, intensity: Vector, period: float) -> tuple[Vector, Vector
     1978), which for the whole would hold the inverse of what dies out; then doubled.
     """
     n = len(A)
-    doublings = max(0, int(np.ceil(np.log2(max(2.0 * np.linalg.norm(A, 1) * period, 1.0)))))
+    far = 2.0 * float(np.abs(A).sum(axis=0).max()) * period
+    doublings = int(np.ceil(np.log2(max(far, 1.0))))
     both = expm(np.block([[-A, intensity], [np.zeros((n, n)), A.T]]) * (period / 2.0**doublings))
     F = both[n:, n:].T
     Q = F @ both[:n, n:]
