@@ -28,8 +28,12 @@ class Source:
 
     path: Path
     starts: Mapping[str, float | str]
-    units: Mapping[str, str]
     validation: Validation = "warn"
+
+    def starts_of(self, signals: Sequence[Signal]) -> dict[str, float]:
+        """The start values given for these signals, in SI."""
+        names = {signal.name for signal in signals}
+        return {k: float(v) for k, v in self.starts.items() if k in names and not isinstance(v, str)}
 
 
 def linear_fmu(source: Source) -> ExchangeFmu | InitialFmu:
@@ -121,7 +125,7 @@ class ExchangeFmu:
         """A component in Model Exchange that passes its real outputs, and whose discrete inputs stay as they start."""
         s = self._source
         starts = {**s.starts, **states}
-        component = load_fmu(s.path, starts=starts, validation=s.validation, units=s.units, kind="me")
+        component = load_fmu(s.path, starts=starts, validation=s.validation, kind="me")
         variables = component.description.variables
         component.select_outputs(n for v in variables if _real(v, "output") for n in v.scalar_names())
         moving = {n for v in variables if _real(v, "input") for n in v.scalar_names()}
@@ -239,9 +243,7 @@ class InitialFmu:
     """A Co-Simulation FMU in initialisation, where states that have a start value may be set and derivatives got."""
 
     def __init__(self, source: Source, structure: ModelStructure) -> None:
-        self._component = load_fmu(
-            source.path, starts=source.starts, validation=source.validation, units=source.units, kind="cs"
-        )
+        self._component = load_fmu(source.path, starts=source.starts, validation=source.validation, kind="cs")
         self.structure = structure
         self.name = self._component.name
         self._description = self._component.description

@@ -89,11 +89,13 @@ class Seen:
     """Of each set: the index of the wanted states and of the whole state, 0 where never, and what is never seen.
 
     `whole` counts the sensors' own states too, which are known at once. `hidden` gives the states that take part in
-    what a set never sees. `evidence` says what the method stands on: tolerance, chance of error, digits.
+    what a set never sees. `evidence` says what the method stands on: tolerance, chance of error, digits. `states`
+    (sets, n) are the indices of each state alone; None by the numerical method, which asks for the subset only.
     """
 
     index: Indices
     whole: Indices
+    states: Indices | None
     hidden: Callable[[int], list[int]]
     evidence: dict[str, Any]
 
@@ -163,9 +165,8 @@ def _generic(
 
 def _seen(indices: Indices, wanted: Sequence[int], evidence: dict[str, Any]) -> Seen:
     whole = subset_index(indices, range(indices.shape[1]))
-    return Seen(
-        subset_index(indices, wanted), whole, lambda i: [int(j) for j in np.flatnonzero(indices[i] == 0)], evidence
-    )
+    index = subset_index(indices, wanted)
+    return Seen(index, whole, indices, lambda i: [int(j) for j in np.flatnonzero(indices[i] == 0)], evidence)
 
 
 def _numerical(measured: Measured, wanted: Sequence[int], sets: Sets, tolerance: float | None, tell: Told) -> Seen:
@@ -178,4 +179,6 @@ def _numerical(measured: Measured, wanted: Sequence[int], sets: Sets, tolerance:
     system = scaled(space.A, gradients, np.array(measured.time_constants), sizes)
     found = numerical_indices(system, sets, wanted, tolerance, tell)
     told = tolerance if tolerance is not None else f"{EPS:.3g} times the larger side of each matrix"
-    return Seen(found.subset, found.whole, lambda i: hidden_states(system, sets[i], tolerance), {"tolerance": told})
+    return Seen(
+        found.subset, found.whole, None, lambda i: hidden_states(system, sets[i], tolerance), {"tolerance": told}
+    )
