@@ -136,7 +136,7 @@ def test_what_holds_at_rest_alone_is_seen_by_exact_and_numerical_arithmetic_only
 
 
 def test_the_equilibrium_of_the_exact_method_is_found_beyond_double_precision():
-    # x rests at the cube root of 3, which no double is. There y' does not depend on it, but next to it it does.
+    # x rests at the cube root of 5, which no double is. There y' does not depend on it, but next to it it does.
     cube = Model(
         name="cube",
         description="x' = u - x^3, y' = (x^3 - u)^2 + z - y, z' = -z",
@@ -144,14 +144,14 @@ def test_the_equilibrium_of_the_exact_method_is_found_beyond_double_precision():
             {"x": u.u - x.x**3, "y": (x.x**3 - u.u) ** 2 + x.z - x.y, "z": -x.z},
             {},
         ),
-        states=(Signal("x", start=3.0 ** (1 / 3)), Signal("y"), Signal("z")),
-        inputs=(Signal("u", start=3.0),),
+        states=(Signal("x", start=5.0 ** (1 / 3)), Signal("y"), Signal("z")),
+        inputs=(Signal("u", start=5.0),),
     )
     one = all_measured(cube, ("y",), (0.0,))
     assert one.space.A[1, 0] != 0.0
     found = observe(one, [0, 2], [(0,)], "exact")
     assert found.states.tolist() == [[0, 1, 2]] and found.hidden(0) == [0]
-    assert found.evidence["digits"] == 120 and observe(one, [0], [(0,)], "coupled").index.tolist() == [2]
+    assert found.evidence["digits"] == 120 and observe(one, [0], [(0,)], "coupled").index.tolist() == [3]
 
 
 def test_an_equilibrium_that_is_not_isolated_is_refused_where_it_is_none_of_doubles():
