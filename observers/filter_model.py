@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from fmus.component import Signal
 from fmus.jacobians import Jacobians, Point, jacobians
 from fmus.model import Kernel, Model, Values, unknown
-from observers.given import Complaints, Given, difference_unit, measured_name, read_deviations
+from fmus.units import difference_unit
+from observers.given import Complaints, Given, measured_name, read_deviations
 from observers.kalman import Gaussian, normalised_square
 from observers.told import (
     INNOVATION_COVARIANCE,

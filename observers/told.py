@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.component import Signal
-from observers.given import Given, difference_unit, product_unit
+from fmus.units import difference_unit, product_unit
+from observers.given import Given
 
 Array = NDArray[np.float64]
 INNOVATION_COVARIANCE = "innovation_covariance"
