@@ -98,7 +98,7 @@ class Complaints:
 def read_given(
     plant: str | Model,
     sensors: Sequence[str],
-    noise: Mapping[str, Any],
+    noise: Mapping[str, Any] | str | float,
     process: Mapping[str, Any] | str | float,
     found: Complaints,
     *,

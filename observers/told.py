@@ -35,8 +35,8 @@ def deviation_signals(given: Given, start: Array, prefix: str = "std_") -> list[
     ]
 
 
-def innovation_signals(given: Given) -> list[Signal]:
-    """`innovation_` + sensor, `nis`, and the elements of `innovation_covariance`."""
+def innovation_signals(given: Given, start: Array) -> list[Signal]:
+    """`innovation_` + sensor, `nis`, and the elements of `innovation_covariance`, which is `start` (m, m) at first."""
     units = [difference_unit(signal.unit) for signal in given.measured]
     return [
         *(
@@ -44,7 +44,7 @@ def innovation_signals(given: Given) -> list[Signal]:
             for name, unit in zip(given.sensors, units, strict=True)
         ),
         Signal("nis", "1", 0.0, "innovation squared, normalised by its covariance"),
-        *matrix_signals(INNOVATION_COVARIANCE, units, np.zeros((len(units), len(units)))),
+        *matrix_signals(INNOVATION_COVARIANCE, units, start),
     ]
 
 
