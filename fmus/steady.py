@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.integrate import Radau
 
-from fmus.component import Vector
-from fmus.jacobians import Jacobians, Matrix, Point
+from fmus.component import Signal, Vector
+from fmus.jacobians import Matrix, Point
 
 # In units of the nominal values: a correction from which Newton's method is tried, and one that counts as solved. It
 # goes on until rounding keeps the correction from shrinking, which for a well-scaled model is far below the second.
@@ -18,6 +18,44 @@ NEAR, SOLVED = 1e-3, 1e-9
 NEWTON_STEPS = 30
 TOLERANCE = 1e-4  # relative, of the integration: it only has to stay on the way
 HORIZON = 1e9  # s
+
+
+class Declared(Protocol):
+    """What a system says of itself."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def states(self) -> Sequence[Signal]:
+        """Its continuous states."""
+
+    @property
+    def outputs(self) -> Sequence[Signal]:
+        """Its outputs."""
+
+
+class Sloping(Protocol):
+    """A system to first order at a point."""
+
+    @property
+    def A(self) -> Matrix:
+        """dx'/dx, (nx, nx)."""
+
+
+class Evaluated(Protocol):
+    """What is asked of a system to find where it rests; `fmus.jacobians.Jacobians` has it of a model."""
+
+    @property
+    def model(self) -> Declared:
+        """The system's signals, in the units of its values."""
+
+    def values(self, at: Point) -> tuple[Vector, Vector]:
+        """x' and y at a point."""
+
+    def at(self, at: Point) -> Sloping:
+        """The system to first order there."""
 
 
 class SteadyError(ValueError):
@@ -56,7 +94,7 @@ class _Newton(NamedTuple):
 class _Scaled:
     """A model with all but its states held; the states z = x/nominal."""
 
-    def __init__(self, jacobians: Jacobians, start: Point) -> None:
+    def __init__(self, jacobians: Evaluated, start: Point) -> None:
         states = jacobians.model.states
         self.jacobians, self.start = jacobians, start
         self.names = [name for signal in states for name in signal.scalar_names()]
@@ -92,7 +130,7 @@ class _Scaled:
         return best
 
 
-def steady_state(jacobians: Jacobians, start: Point, most_steps: int = 5000) -> Steady:
+def steady_state(jacobians: Evaluated, start: Point, most_steps: int = 5000) -> Steady:
     """The stable equilibrium that a model settles to from `start`, its discrete states, inputs, parameters, time held.
 
     The model goes its own way to rest by an implicit method (Radau IIA, order 5), whose steps grow as it slows down,

@@ -48,7 +48,7 @@ def build_model(name: str, export: Export) -> Path:
             return build_fmu(found, path, fmi, platforms, _starts(found, parameter_set, given, places))
         if parameter_set is not None:
             raise ConfigurationError(f"{name} is made from its arguments and has no named sets; give them by --with")
-        return build_fmu(_made(name, found, given, places), path, fmi, platforms)
+        return build_fmu(made_model(name, found, given, places), path, fmi, platforms)
     except TraceError as error:
         raise ConfigurationError(f"{name}: {error}; as it stands it can be built with --python only") from error
     except ModelError as error:
@@ -127,21 +127,32 @@ def _starts(model: Model, parameter_set: str | None, given: Mapping[str, Any], p
     found = Findings(places)
     signals = (*model.parameters, *model.states, *model.discrete, *SOLVER)
     units = {scalar: parse_unit(signal.unit) for signal in signals for scalar in signal.scalar_names()}
-    starts: dict[str, float] = {}
-    if parameter_set is not None and parameter_set not in model.parameter_sets:
-        raise ConfigurationError(f"--set: {unknown(parameter_set, model.parameter_sets, 'parameter set')}")
-    chosen = model.parameter_sets[parameter_set] if parameter_set is not None else {}
-    for signal in model.parameters:
-        if signal.name in chosen:
-            values = np.broadcast_to(np.asarray(chosen[signal.name], dtype=float), signal.shape).ravel()
-            starts |= zip(signal.scalar_names(), map(float, values), strict=True)
+    starts = set_values(model, parameter_set)
     in_si = read_settings(signals, given, found)
     if in_si is None:
         raise ConfigurationError(found.problems)
     return starts | {name: units[name].from_si(value) for name, value in in_si.items()}
 
 
-def _made(name: str, make: Callable[..., Any], given: Mapping[str, Any], places: Places) -> Model:
+def set_values(model: Model, parameter_set: str | None) -> dict[str, float]:
+    """The values of a named parameter set by scalar name, in the units the model declares; empty for no set.
+
+    Raises ConfigurationError: the model has no such set.
+    """
+    if parameter_set is None:
+        return {}
+    if parameter_set not in model.parameter_sets:
+        raise ConfigurationError(f"--set: {unknown(parameter_set, model.parameter_sets, 'parameter set')}")
+    chosen = model.parameter_sets[parameter_set]
+    found: dict[str, float] = {}
+    for signal in model.parameters:
+        if signal.name in chosen:
+            values = np.broadcast_to(np.asarray(chosen[signal.name], dtype=float), signal.shape).ravel()
+            found |= zip(signal.scalar_names(), map(float, values), strict=True)
+    return found
+
+
+def made_model(name: str, make: Callable[..., Any], given: Mapping[str, Any], places: Places) -> Model:
     """The Model that `make` returns for arguments as a campaign would give them."""
     found = Findings(places)
     arguments = read_arguments(make, given, None, found)

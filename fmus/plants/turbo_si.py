@@ -96,6 +96,8 @@ OUTPUTS = (
     Signal("torque_turbine", "N.m", 0.05077285, "torque of the turbine on its shaft", nominal=0.1),
     Signal("torque_compressor", "N.m", 0.04215489, "torque that the compressor takes", nominal=0.1),
 )
+# Where a sensor can stand: the set Y of the paper, Section 2.2.
+SENSORS = (*(signal.name for signal in STATES), "W_af", "W_comp", "W_ic", "W_th")
 PARAMETERS = (
     _constant("gamma_a", "1", 1.4, "air, ratio of the specific heats [R]", 1.0),
     _constant("R_a", "J/kg/K", 287.2, "air, gas constant [R]"),
