@@ -96,7 +96,7 @@ def _functions(traced: Traced) -> list[ca.Function]:
         ("indicator_rates", [], [dz]),
         ("jacobian", [], [ca.jacobian(dx, x).T, ca.jacobian(dx, t)]),
         ("transition", [above], list(traced.transition.call([*inputs, above]))),
-        ("sample", [], list(traced.sample.call(inputs))),
+        *_sampling(traced, inputs),
         ("forward", [sx, su, sp], [forward[: dx.numel()], forward[dx.numel() :]]),
         ("reverse", [ldx, ly], [reverse[:nx], reverse[nx : nx + nu], reverse[nx + nu :]]),
     ]
@@ -108,6 +108,17 @@ def _functions(traced: Traced) -> list[ca.Function]:
         expressions = [ca.densify(next(rewritten)) for _ in results]
         functions.append(ca.Function(f"traced_{name}", [*inputs, hoisted.symbols, *more], expressions))
     return functions
+
+
+def _sampling(traced: Traced, inputs: Sequence[Any]) -> list[tuple[str, Sequence[Any], Sequence[Any]]]:
+    """What is sampled, or the functions that the kernel calls for it, with their Jacobians by x."""
+    if traced.model.kernel is None:
+        return [("sample", [], list(traced.sample.call(inputs)))]
+    given: list[tuple[str, Sequence[Any], Sequence[Any]]] = []
+    for name, function in traced.kernel.items():
+        (values,) = function.call(inputs)
+        given += [(name, [], [values]), (f"{name}_jacobian", [], [ca.jacobian(values, inputs[1]).T])]
+    return given
 
 
 def _traced_code(functions: Sequence[ca.Function]) -> str:
@@ -217,11 +228,16 @@ def model_source(traced: Traced, interface: Interface, fmi: int) -> tuple[str, s
     defines = [f"#define N{name} {size}" for name, size in sizes.items() if name != "DX"]
     defines.append(f"#define NC {functions[0].size1_out(0)}")
     sampled = model.sample is not None
-    defines.append(f"#define SAMPLED {int(sampled)}")
+    defines += [f"#define SAMPLED {int(sampled)}", f"#define KERNEL {int(model.kernel is not None)}"]
     if sampled:
         names = [variable.name for variable in interface.variables]
         defines.append(f"#define SAMPLE_TIME {names.index(model.sample_time)}")
-    wrappers = [_wrapper(name, *_WRAPPED[name]) for name in _WRAPPED]
+    wrapped = dict(_WRAPPED)
+    if model.kernel is not None:
+        del wrapped["sample"]
+        for name in traced.kernel:
+            wrapped |= {name: (_ARGUMENTS, ("values",)), f"{name}_jacobian": (_ARGUMENTS, ("jx",))}
+    wrappers = [_wrapper(name, *wrapped[name]) for name in wrapped]
     nominals = [interface.variables[reference].nominal for reference in interface.block("X")]
     body = "\n\n".join(
         [
@@ -230,7 +246,9 @@ def model_source(traced: Traced, interface: Interface, fmi: int) -> tuple[str, s
             *_tables(interface.variables, nominals),
             _traced_code(functions),
             *wrappers,
-            f'#include "instance.c"\n#include "solve.c"\n#include "fmi{fmi}.c"',
+            '#include "instance.c"\n#include "solve.c"',
+            *([] if model.kernel is None else [model.kernel.source]),
+            f'#include "fmi{fmi}.c"',
         ]
     )
     runtime = "".join(path.read_text() for path in sorted(RUNTIME.glob("*.[ch]")))

@@ -152,9 +152,10 @@ def _product(a: Pattern, b: Pattern) -> Pattern:
 class Dependencies:
     """Structural dependence of derivatives (dx), outputs (y) and discrete states (m) on states and inputs.
 
-    Outputs include what a sampling instant or an event at the end of the step passes on at once.
+    Outputs and states (x) include what a sampling instant or an event at the end of the step passes on at once.
     """
 
+    x_u: Pattern
     dx_x: Pattern
     dx_u: Pattern
     y_x: Pattern
@@ -177,6 +178,7 @@ def dependencies(traced: Traced) -> Dependencies:
     reset_u = dependence(sample, 0, "u") | dependence(transition, 0, "u")
     y_x = dependence(equations, 1, "x")
     return Dependencies(
+        x_u=reset_u,
         dx_x=dependence(equations, 0, "x"),
         dx_u=dependence(equations, 0, "u"),
         y_x=y_x | _product(y_m, m_x),
@@ -263,7 +265,8 @@ def _with_dependencies(found: Interface, patterns: Dependencies) -> tuple[Variab
         return tuple(int(i) + x0 for i in np.flatnonzero(row_x)) + tuple(int(i) + u0 for i in np.flatnonzero(row_u))
 
     for i, reference in enumerate(found.block("X")):
-        variables[reference] = replace(variables[reference], dependencies=(x0 + i,))
+        passed_on = tuple(int(j) + u0 for j in np.flatnonzero(patterns.x_u[i]))
+        variables[reference] = replace(variables[reference], dependencies=(x0 + i, *passed_on))
     for name, on_x, on_u in (
         ("DX", patterns.dx_x, patterns.dx_u),
         ("M", patterns.m_x, patterns.m_u),

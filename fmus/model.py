@@ -69,6 +69,24 @@ def _nothing(t: Any, x: Values, m: Values, u: Values, p: Values) -> Mapping[str,
 
 
 @dataclass(frozen=True)
+class Kernel:
+    """`sample` in C, for loops over matrices that would be too long as unrolled expressions; its twin is in NumPy.
+
+    `source` is C text that stands after fmus/runtime/solve.c and defines
+
+        static int kernel_sample(Instance *instance, double *xn, double *mn)
+
+    which gives all of x+ and m+ and returns OK, or what `fail` returns. It may call what the runtime has, and for each
+    of `functions`, written as `sample` is but with whatever results: model_NAME, its scalars in order, and
+    model_NAME_jacobian, their derivatives by x, row-major, both with the arguments of model_derivatives.
+    Each new value is taken to depend on every state and input.
+    """
+
+    source: str
+    functions: Mapping[str, Named] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Model:
     """A plant, observer or controller in equations.
 
@@ -83,6 +101,7 @@ class Model:
     A sampled model updates at the end of a step with that step's inputs, so an estimate in m is
     x(k|k). `sample_time` names the parameter that holds the period, in s; a period of 0 stands for each communication
     step, as on a clock in crank angle, and is for Co-Simulation only.
+    A model whose sampling is too long to be traced gives a `kernel`, too: the exported FMU runs that.
     Discrete states that `transition` assigns are computed at initialisation; others begin at
     their start value. The solver settings are the exported FMU's defaults.
     """
@@ -101,6 +120,7 @@ class Model:
     transition: Transition | None = None
     sample: Named | None = None
     sample_time: str = ""
+    kernel: Kernel | None = None
     parameter_sets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     solver_method: Literal["rk4", "rodas4"] = "rk4"
     solver_step: float = 1e-3  # s
@@ -114,6 +134,8 @@ class Model:
             seen.add(signal.name)
         if (self.sample is None) != (not self.sample_time):
             raise ModelError(f"{self.name}: sample and sample_time go together")
+        if self.kernel is not None and self.sample is None:
+            raise ModelError(f"{self.name}: a kernel wants its twin, sample")
         if self.sample_time:
             period = next((signal for signal in self.parameters if signal.name == self.sample_time), None)
             if period is None:
@@ -188,6 +210,12 @@ class FlatModel:
         if self.model.sample is None:
             return list(x), list(m)
         return self._update(self.model.sample(t, *self._values(x, m, u, p)), x, m)
+
+    def kernel_function(self, name: str, t: Any, x: Any, m: Any, u: Any, p: Any) -> list[Any]:
+        """The scalars of one of the functions that the kernel calls, in the order they are given."""
+        assert self.model.kernel is not None, "asked of models with a kernel only"
+        values = self.model.kernel.functions[name](t, *self._values(x, m, u, p))
+        return [scalar for value in values.values() for scalar in np.asarray(value, dtype=object).ravel()]
 
     def _update(self, values: Mapping[str, Any], x: Any, m: Any) -> tuple[list[Any], list[Any]]:
         model = self.model

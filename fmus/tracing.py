@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -220,7 +221,8 @@ class Traced:
     `equations`  (t, x, m, u, p) -> (x', y)
     `indicators` (t, x, m, u, p) -> z
     `transition` (t, x, m, u, p, above) -> (x+, m+)
-    `sample`     (t, x, m, u, p) -> (x+, m+)
+    `sample`     (t, x, m, u, p) -> (x+, m+); of a model with a kernel only what depends on what
+    `kernel`     (t, x, m, u, p) -> values, for each function that the kernel calls
     """
 
     model: Model
@@ -228,6 +230,7 @@ class Traced:
     indicators: ca.Function
     transition: ca.Function
     sample: ca.Function
+    kernel: Mapping[str, ca.Function]
 
 
 def _size(signals: Sequence[Signal]) -> int:
@@ -262,7 +265,15 @@ def trace(model: Model) -> Traced:
     derivatives, outputs = _traced(model, "equations", flat.derivatives_and_outputs, arguments)
     z = _traced(model, "indicators", flat.indicators, arguments)
     x_event, m_event = _traced(model, "transition", flat.transition, (*arguments, above_symbols))
-    x_sample, m_sample = _traced(model, "sample", flat.sample, arguments)
+    kernel: dict[str, ca.Function] = {}
+    if model.kernel is None:
+        x_sample, m_sample = _traced(model, "sample", flat.sample, arguments)
+    else:
+        everything = Symbol(ca.sum1(ca.vertcat(x, m, u)))
+        x_sample, m_sample = [everything] * len(x_symbols), [everything] * len(m_symbols)
+        for name in model.kernel.functions:
+            values = _traced(model, name, partial(flat.kernel_function, name), arguments)
+            kernel[name] = ca.Function(name, inputs, [_column(values)], names, ["values"])
     return Traced(
         model,
         ca.Function("equations", inputs, [_column(derivatives), _column(outputs)], names, ["dx", "y"]),
@@ -271,6 +282,7 @@ def trace(model: Model) -> Traced:
             "transition", (*inputs, above), [_column(x_event), _column(m_event)], [*names, "above"], ["xn", "mn"]
         ),
         ca.Function("sample", inputs, [_column(x_sample), _column(m_sample)], names, ["xn", "mn"]),
+        kernel,
     )
 
 

@@ -15,6 +15,7 @@ import typer
 
 from fmus.component import ConfigurationError
 from fmus.description import Validation, describe
+from harness.analysis import add_commands
 from harness.building import Export, build_model, build_with_python
 from harness.campaign import built_in_campaigns, describe_campaign, find_campaign, read_campaign
 from harness.campaignfile import CampaignFile
@@ -260,6 +261,9 @@ def _check_folder(folder: Path, page: Path | None, manner: Manner, as_json: bool
         pages = [entry.load()(kept, page) for entry in entry_points(group="crankbench.compatibility")]
         print(*pages, sep="\n", file=stream)
     raise typer.Exit(FINE if all(one.runnable and not one.failed for one in checked) else FAILED)
+
+
+add_commands(app)
 
 
 @app.command()

@@ -206,6 +206,10 @@ def _made(make: Callable[..., Any], spec: ModelPart, part: str, step: float, fou
         made: Any = _made_model(_Call(make, repr(arguments), arguments))
     except _NoModel as result:
         made = result.made
+    except ConfigurationError as error:
+        for problem in error.problems:
+            found.at("with").tell(f"{part}: {problem}")
+        return None
     except ValueError as error:
         found.at("with").tell(f"{part}: {error}")
         return None

@@ -201,7 +201,7 @@ FMI_EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info
     int changed = 0;
     CHECK(EVENT, "fmi2NewDiscreteStates");
     while (sample_is_due(&instance->s, instance->s.v[0])) {
-        take_sample(&instance->s);
+        if (take_sample(instance)) return ERROR;
         changed = 1;
     }
     if (NZ) {

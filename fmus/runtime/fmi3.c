@@ -298,7 +298,7 @@ FMI_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *need
     int changed = 0;
     CHECK(EVENT, "fmi3UpdateDiscreteStates");
     while (!instance->co_simulation && sample_is_due(&instance->s, instance->s.v[0])) {
-        take_sample(&instance->s);
+        if (take_sample(instance)) return ERROR;
         changed = 1;
     }
     if (NZ) {

@@ -188,13 +188,20 @@ static int settle(State *s) {
     return -1;
 }
 
-static void take_sample(State *s) {
+static int take_sample(Instance *instance) {
+    State *s = &instance->s;
     double x[NX + 1], m[NM + 1];
+#if KERNEL
+    int status = kernel_sample(instance, x, m);
+    if (status != OK) return status;
+#else
     model_sample(ARGUMENTS(s), x, m);
+#endif
     memcpy(s->v + X0, x, sizeof(double) * NX);
     memcpy(s->v + M0, m, sizeof(double) * NM);
     s->sample_count += 1;
     s->stale |= STALE_ALL;
+    return OK;
 }
 
 /* A sample time of 0 stands for each communication step. */

@@ -68,8 +68,10 @@ static void model_jacobian(double t, const double *x, const double *m, const dou
                            double *jt);
 static void model_transition(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
                              const double *above, double *xn, double *mn);
+#if !KERNEL
 static void model_sample(double t, const double *x, const double *m, const double *u, const double *p, const double *c, double *xn,
                          double *mn);
+#endif
 static void model_forward(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
                           const double *sx, const double *su, const double *sp, double *sdx, double *sy);
 static void model_reverse(double t, const double *x, const double *m, const double *u, const double *p, const double *c,
@@ -102,5 +104,10 @@ typedef struct Instance {
     void (*logger)(void); /* the importer's callback, cast where it is called */
     void (*deliver)(struct Instance *, int status, const char *category, const char *message);
 } Instance;
+
+#if KERNEL
+/* The sampling of a model that brings its own in C: OK, or what `fail` returned. */
+static int kernel_sample(Instance *instance, double *xn, double *mn);
+#endif
 
 #endif

@@ -258,11 +258,11 @@ static int advance(Instance *instance, double t, double h) {
         const int due = sample_is_due(s, end);
         if (integrate(instance, due && next < end ? fmax(next, s->v[0]) : end)) return ERROR;
         if (instance->s.event_pending || !due) break;
-        take_sample(s);
+        if (take_sample(instance)) return ERROR;
         if (NZ && settle(s) < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", s->v[0]);
     }
     if (samples_each_step(s) && !instance->s.event_pending) {
-        take_sample(s);
+        if (take_sample(instance)) return ERROR;
         if (NZ && settle(s) < 0) return fail(instance, "chattering: the events at t = %.17g s never settle", s->v[0]);
     }
     s->stale |= STALE_DX | STALE_Y | STALE_Z;

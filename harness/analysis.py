@@ -1,0 +1,169 @@
+"""The commands about a system at a point: `crankbench linearise` and `crankbench select`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fmus.component import ConfigurationError
+from fmus.description import Validation
+from fmus.statespace import AT_REST, StateSpace, imbalance, scales, si_unit, unrest
+from fmus.whole import write_whole
+from harness.fmutext import table
+from harness.operating import Operation, operate
+from harness.runfolder import plain
+from harness.selecting import SHOWN, select
+from harness.selectiontext import csv_text, print_selected, sets_told
+from harness.surveying import keep
+from harness.wishes import Wishes
+from selection.observability import Method
+
+Target = Annotated[str, typer.Argument(metavar="MODEL|FMU", help="A plant's name, module or module:name, or an FMU.")]
+At = Annotated[
+    list[str] | None,
+    typer.Option("--at", metavar="NAME=VALUE,...", help="States, inputs, parameters at the point: N='2000 rpm'."),
+]
+ParameterSet = Annotated[str | None, typer.Option("--set", help="A named parameter set of the model.")]
+Settle = Annotated[bool, typer.Option("--settle", help="Let it come to rest from there first, inputs held.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Tier = Annotated[Validation, typer.Option(help="Rules of the standard that an FMU breaks: strict, warn or off.")]
+
+
+def _names(text: str) -> Any:
+    return typer.Option(metavar="A,B,...", help=text)
+
+
+def _values(text: str) -> Any:
+    return typer.Option(metavar="SENSOR=VALUE,...", help=text)
+
+
+def linearise(
+    target: Target,
+    point: At = None,
+    parameter_set: ParameterSet = None,
+    settle: Settle = False,
+    validation: Tier = "warn",
+    as_json: Json = False,
+) -> None:
+    """Give A, B, C, D of a model or an FMU at an operating point, in SI units, and what gave them."""
+    space = operate(Operation(target, point or (), parameter_set, settle, validation)).space
+    if as_json:
+        print(json.dumps(plain(space.to_json()), indent=1, ensure_ascii=False))
+    else:
+        print("\n".join(_lines(space)))
+
+
+def _lines(space: StateSpace) -> list[str]:
+    n = len(space.states)
+    columns = [*space.states, *space.inputs]
+    rows = [*((f"der({s.name})", space.A[i], space.B[i]) for i, s in enumerate(space.states))]
+    rows += [(s.name, space.C[i], space.D[i]) for i, s in enumerate(space.outputs)]
+    cells = [[name, *(f"{value:.4g}" for value in (*by_x, *by_u))] for name, by_x, by_u in rows]
+    points = [f"{s.name} = {v:.6g} {si_unit(s)}".rstrip() for s, v in zip(columns, (*space.x0, *space.u0), strict=True)]
+    unsettled = imbalance(space.A, space.rates, scales(space.states)).max(initial=0.0) > AT_REST
+    rest = f"no equilibrium: {unrest(space.states, space.A, space.rates)}" if n and unsettled else "an equilibrium"
+    return [
+        f"rung   {space.rung}: {space.evidence}",
+        f"error  {space.error:.2g} of a row",
+        f"point  {', '.join(points)}",
+        f"rest   {rest}",
+        *table(("", *(signal.name for signal in columns)), cells),
+    ]
+
+
+def select_sensors(
+    target: Target,
+    estimate: Annotated[str, _names("The states to estimate; all where none is named.")] = "",
+    most: Annotated[int, typer.Option("--max-sensors", help="Sensors in a set at most.")] = 3,
+    method: Annotated[Method, typer.Option(help="What the entries of A and C are taken to be.")] = "structural",
+    point: At = None,
+    parameter_set: ParameterSet = None,
+    settle: Settle = False,
+    sensors: Annotated[str, _names("States and outputs that may be measured, or patterns.")] = "",
+    must: Annotated[str, _names("Sensors that every set has.")] = "",
+    forbid: Annotated[str, _names("Sensors that no set has.")] = "",
+    cost: Annotated[list[str] | None, _values("What a sensor costs; 1 where nothing is said.")] = None,
+    lag: Annotated[
+        list[str] | None,
+        _values("Time constants; 3 s of a temperature, else 0 s."),
+    ] = None,
+    noise: Annotated[
+        list[str] | None,
+        _values("Standard deviation of a sample; 1 % of the nominal value."),
+    ] = None,
+    measures: Annotated[str | None, typer.Option(help="gramian,kalman or none; both of up to 10000 sets.")] = None,
+    by: Annotated[str, typer.Option(help="What to rank by, the first first.")] = "index,error,cost",
+    period: Annotated[str, typer.Option(help="Time between samples.")] = "10 ms",
+    process: Annotated[float, typer.Option(help="What disturbs each state, of its size in a second.")] = 0.01,
+    tolerance: Annotated[float | None, typer.Option(help="Numerical: singular values below it are zero.")] = None,
+    seed: Annotated[int, typer.Option(help="Structural and coupled: seed of the random entries.")] = 0,
+    also: Annotated[
+        list[str] | None, typer.Option("--also-at", metavar="NAME=VALUE,...", help="Show the structure there, too.")
+    ] = None,
+    show_all: Annotated[bool, typer.Option("--all", help="Print all sets.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="TABLE.csv", help="Write all sets as CSV.")] = None,
+    page: Annotated[Path | None, typer.Option("--report", metavar="PAGE.html", help="Write a page.")] = None,
+    validation: Tier = "warn",
+    as_json: Json = False,
+) -> None:
+    """Rank sets of sensors by how directly they see the states to estimate."""
+    for path, suffix, option in ((out, ".csv", "--out"), (page, ".html", "--report")):
+        if path is not None and path.suffix != suffix:
+            raise ConfigurationError(f"{option} wants a file that ends in {suffix}, got {path}")
+    operation = Operation(target, point or (), parameter_set, settle, validation)
+    wishes = Wishes(
+        _split(estimate),
+        most,
+        method,
+        _split(sensors),
+        _split(must),
+        _split(forbid),
+        _settings(cost),
+        _settings(lag),
+        _settings(noise),
+        None if measures is None else [word for word in _split(measures) if word != "none"],
+        _split(by),
+        period,
+        process,
+        tolerance,
+        seed,
+        os.cpu_count() or 1,
+    )
+    others = [operation._replace(point=(*operation.point, place)) for place in also or ()]
+    stream = sys.stderr if as_json else sys.stdout
+    with sets_told(stream) as tell:
+        selected = select(operation, wishes, others, tell)
+    most_shown = None if show_all else SHOWN
+    if as_json:
+        print(json.dumps(plain(selected.to_json(most_shown)), indent=1, ensure_ascii=False))
+    else:
+        print_selected(selected, most_shown, stream)
+    if out is not None:
+        write_whole(out, csv_text(selected))
+        print(out, file=stream)
+    if page is not None:
+        kept = keep(page, selected.to_json(most_shown))
+        print(
+            *(entry.load()(kept, page) for entry in entry_points(group="crankbench.selection")), sep="\n", file=stream
+        )
+
+
+def _split(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def _settings(given: Sequence[str] | None) -> list[str]:
+    return [part for text in given or () for part in _split(text)]
+
+
+def add_commands(app: Any) -> None:
+    """Put both commands into the command line."""
+    app.command(name="linearise")(linearise)
+    app.command(name="select")(select_sensors)
