@@ -121,5 +121,7 @@ def _ranking_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[
         names = [name for name in map(ranking.metric_of, ranking.observers()) if name in units]
         for name in names:
             if units[name] != units[names[0]]:
-                message = f"report: a ranking wants one unit, got {names[0]} in {units[names[0]]} and {name} in {units[name]}"
+                message = (
+                    f"report: a ranking wants one unit, got {names[0]} in {units[names[0]]} and {name} in {units[name]}"
+                )
                 yield campaign.places.problem(message, "report", "rankings", index, "metric")

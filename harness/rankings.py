@@ -58,6 +58,8 @@ def median_cost(costs: Array) -> Array:
     A failed case is infinite and so is a median between one and another; a case without the metric is NaN and not
     counted; NaN where there is none at all.
     """
+    if not np.isnan(costs).any():
+        return np.asarray(np.median(costs, axis=1))
     found = np.full(len(costs), np.nan)
     for i, row in enumerate(costs):
         known = row[~np.isnan(row)]
@@ -120,9 +122,7 @@ def _ranking(ranking: Ranking, cases: Sequence[Judged], units: Mapping[str, str]
         "level": LEVEL,
         "note": ranking.note,
         "medians": medians,
-        "measures": [
-            _measure(name, measure, ranking, costs, medians) for name, measure in ranking.measures.items()
-        ],
+        "measures": [_measure(name, measure, ranking, costs, medians) for name, measure in ranking.measures.items()],
     }
 
 

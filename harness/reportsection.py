@@ -36,6 +36,7 @@ class Published(Strict):
 
     what: str
     published: Any
+    ours: Any = Field(None, description="what stands beside it where no metric does")
     metric: str | None = None
     experiment: str | None = None
     note: str = ""
