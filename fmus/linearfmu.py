@@ -42,9 +42,11 @@ def linear_fmu(source: Source) -> ExchangeFmu | InitialFmu:
     Raises ConfigurationError: it gives no derivatives of states in either way; each rung and why it does not hold.
     """
     description = describe(source.path, source.validation)
+    structure = read_structure(description)
+    if not structure.states and not description.states:
+        raise ConfigurationError(f"{source.path}: it cannot be made linear: it has no continuous states")
     if "me" in description.kinds:
         return ExchangeFmu(source)
-    structure = read_structure(description)
     lacking = _lacking_in_initialisation(description, structure)
     if lacking:
         raise ConfigurationError(
@@ -215,7 +217,8 @@ class ExchangeFmu:
             for j, scalar in enumerate([*self._states, *self._inputs]):
                 column = self._column(unknowns, scalar)
                 for s, i in rows:
-                    found[i, j] = column[s.name] * s.unit.factor / scalar.unit.factor
+                    over = (self._states[i] if i < len(self._states) else s).unit.factor
+                    found[i, j] = column[s.name] * over / scalar.unit.factor
         except (StepError, ConfigurationError) as error:
             self.enter(x, u)
             return None, getattr(error, "message", str(error))
@@ -279,13 +282,20 @@ class InitialFmu:
     def partials(self, x: Vector, u: Vector) -> Partials:
         """By directional derivatives where they bear out. Raises ConfigurationError: they do not."""
         quotients, errors = differences(self._both, np.concatenate([x, u]), _ranges(self.states, self.inputs))
-        asked = self._questioned(x, u)
-        rows = [s.variable for s in [*self._derivatives, *self._outputs]]
-        over = np.array([s.unit.factor for s in [*self._states, *self._outputs]])
-        knowns = [*self._states, *self._inputs]
-        columns = [asked.directional(rows, s.variable) * over / s.unit.factor for s in knowns]
+        asked, n = self._questioned(x, u), len(self._states)
+        names = [s.name for s in self._states]
+        own = {i: names.index(s.name) for i, s in enumerate(self._outputs) if s.name in names}
+        unknowns = [*enumerate(self._derivatives), *((n + i, s) for i, s in enumerate(self._outputs) if i not in own)]
+        given = np.zeros_like(quotients)
+        for i, place in own.items():
+            given[n + i, place] = 1.0
+        # A derivative's unit is its state's, each second.
+        over = [(self._states[i] if i < n else s).unit.factor for i, s in unknowns]
+        for j, known in enumerate([*self._states, *self._inputs]):
+            column = asked.directional([s.variable for _, s in unknowns], known.variable)
+            given[[i for i, _ in unknowns], j] = column * over / known.unit.factor
         sizes = np.concatenate([scales(self.states), scales(self.inputs)])
-        found = _chosen(self, quotients, errors, np.array(columns).T, "", sizes)
+        found = _chosen(self, quotients, errors, given, "", sizes)
         if found.rung != DIRECTIONAL:
             raise ConfigurationError(
                 f"{self._component.name}: it cannot be made linear. {DIRECTIONAL}: {found.evidence}. {DIFFERENCES}: of "

@@ -22,7 +22,7 @@ from harness.wishes import MEASURES, Choice, Wishes, understand
 from selection.measures import Noise, Plant, plant
 from selection.observability import Measured, Method, Options, observe
 from selection.ranking import Asked, Ranked, Told, as_json, evaluate, rank, sets_within
-from selection.structure import Structure, structurally_observable
+from selection.structure import Structure, distances, structurally_observable
 
 # Sets up to which Gramian and Kalman error are taken without being asked for, about a quarter of a minute.
 FEW_SETS = 10_000
@@ -187,6 +187,7 @@ def _sensor(place: int, measured: Measured, choice: Choice, sees: Mapping[str, i
     signal, n = choice.signals[place], len(measured.space.states)
     gradients = np.concatenate([measured.structure.C, np.eye(n, dtype=bool)])
     row = gradients[[measured.places[place]]]
+    (far,) = distances(measured.structure.A, row, [measured.lags[place]])
     return {
         "name": signal.name,
         "unit": si_unit(signal),
@@ -194,6 +195,7 @@ def _sensor(place: int, measured: Measured, choice: Choice, sees: Mapping[str, i
         "noise": float(choice.noise[place]),
         "cost": choice.costs[place],
         "sees": sees,
+        "reaches": {state.name: int(k) for state, k in zip(measured.space.states, far, strict=True) if k >= 0},
         "structurally_observable": structurally_observable(measured.structure.A, row),
     }
 

@@ -93,12 +93,11 @@ def understand(operating: Operating, wishes: Wishes) -> Choice:
     costs = [1.0] * len(names)
     for place, value in _numbers(wishes.cost, names, [""] * len(names), "--cost", problems):
         costs[place] = value
-    problems += [
-        Problem(f"--lag {n}: wants 0 s or more, got {v:g} s") for n, v in zip(names, lags, strict=True) if v < 0
-    ]
-    problems += [
-        Problem(f"--noise {n}: wants more than 0, got {v:g}") for n, v in zip(names, noise, strict=True) if not v > 0
-    ]
+    for name, tau, deviation in zip(names, lags, noise, strict=True):
+        if tau < 0.0:
+            problems.append(Problem(f"--lag {name}: wants 0 s or more, got {tau:g} s"))
+        if deviation <= 0.0:
+            problems.append(Problem(f"--noise {name}: wants more than 0, got {deviation:g}"))
     period = _quantity(wishes.period, "s", "--period", problems)
     _check_words(wishes, problems)
     if problems:

@@ -11,29 +11,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.component import Signal
-from fmus.jacobians import Jacobians, Point, jacobians, point
+from fmus.jacobians import Jacobians, Point, jacobians
 from fmus.model import Model, ModelError, Values, unknown
-from fmus.steady import SteadyError, steady_state
-from observers.given import (
-    Complaints,
-    Given,
-    difference_unit,
-    measured_name,
-    product_unit,
-    read_given,
-    read_list,
-    read_values,
-)
+from fmus.sensing import sensor_name
+from fmus.steady import SteadyError
+from observers.given import Complaints, Given, measured_name, read_given, read_list, read_values
+from observers.operating import OperatingPoints, Sought
 from observers.stationary import Stationary, stationary
+from observers.told import (
+    INNOVATION_COVARIANCE,
+    by_signal,
+    deviation_signals,
+    innovation_signals,
+    matrix_values,
+    scalars,
+)
 
 Array = NDArray[np.float64]
 
 
 class Axis(NamedTuple):
-    """One axis of a grid: the input of the observer that it is read from, and the nodes, ascending, in its unit."""
+    """One axis of a grid: what it is called, the input of the observer it is read from, and the nodes, ascending.
 
+    An axis along a measured signal has `by`, the plant's input that is set so that the signal settles at a node.
+    """
+
+    name: str
     input: Signal
     nodes: Array
+    by: Signal | None = None
 
 
 def make(
@@ -53,8 +59,8 @@ def make(
     """x' = f(x, u) between samplings, at each of them x+ = x- + K (y - h(x-)), K by the stationary Riccati equation.
 
     `at` gives the inputs of the operating point, where the plant is let settle; where it names states, too, these are
-    taken as they are and nothing settles. `grid` gives nodes by input, over which K is interpolated linearly, held
-    outside. Arguments as in docs/observers.md.
+    taken as they are and nothing settles. `grid` gives nodes by input, over which K is interpolated linearly and held
+    outside; or by sensor, as `{values: [...], by: input}`. Arguments as in docs/observers.md.
 
     Raises ConfigurationError with all that is wrong: arguments, points that do not settle, modes that are not seen.
     """
@@ -78,18 +84,33 @@ def make(
 
 
 def _read_axes(grid: Mapping[str, Any], given: Given, found: Complaints) -> list[Axis]:
-    known = {signal.name: signal for signal in given.model.inputs if not signal.shape}
+    inputs = {signal.name: signal for signal in given.model.inputs if not signal.shape}
+    measured = dict(zip(given.sensors, given.measured, strict=True))
     axes = []
     for name, raw in grid.items():
-        if name not in known:
-            found.add(f"grid: {unknown(name, known, 'input')}")
+        signal, by = inputs.get(name) or measured.get(name), None
+        if signal is None:
+            found.add(f"grid: {unknown(name, [*inputs, *measured], 'input or sensor')}")
             continue
-        nodes = found.collect(read_list, raw, known[name].unit, f"grid: {name}")
-        if nodes is None:
-            continue
-        if any(b <= a for a, b in itertools.pairwise(nodes)):
+        if name in measured:
+            if not isinstance(raw, Mapping) or set(raw) != {"values", "by"}:
+                told = f"`{name}: {{values: [...], by: input}}`, by which input the plant is brought there"
+                found.add(f"grid: {name} is measured and wants {told}")
+                continue
+            by = inputs.get(str(raw["by"]))
+            if by is None:
+                found.add(f"grid: {name}: {unknown(str(raw['by']), inputs, 'input')}")
+                continue
+            raw = raw["values"]
+        nodes = found.collect(read_list, raw, signal.unit, f"grid: {name}")
+        if nodes is not None and any(b <= a for a, b in itertools.pairwise(nodes)):
             found.add(f"grid: {name} wants its values ascending, got {raw}")
-        axes.append(Axis(known[name], np.array(nodes)))
+        axes.append(Axis(name, signal, np.array(nodes or []), by))
+    moved = [axis.by.name if axis.by else axis.name for axis in axes]
+    if len(set(moved)) < len(moved):
+        found.add(f"grid: each axis wants an input of its own, got {', '.join(moved)}")
+    if sum(axis.by is not None for axis in axes) > 1:
+        found.add("grid: one axis at most may be a measured signal")
     return axes
 
 
@@ -98,23 +119,21 @@ def _design(
 ) -> list[Stationary]:
     """The filter at rest at each node, the last axis fastest, in the states' and sensors' units."""
     derivatives = jacobians(given.model)
+    points = OperatingPoints(derivatives)
     designed = []
-    for nodes in itertools.product(*(axis.nodes for axis in axes)):
-        here = {axis.input.name: float(node) for axis, node in zip(axes, nodes, strict=True)}
+    for nodes in itertools.product(*(axis.nodes.tolist() for axis in axes)):
+        here, sought = dict(values), None
+        for axis, node in zip(axes, nodes, strict=True):
+            if axis.by is None:
+                here[axis.name] = node
+            else:
+                sought = Sought(axis.by, sensor_name(axis.name), node)
         try:
-            designed.append(_stationary(given, derivatives, _point(given, derivatives, {**values, **here}), h))
+            designed.append(_stationary(given, derivatives, points.at(here, sought), h))
         except (ModelError, SteadyError) as error:
-            place = ", ".join(f"{axis.input.name} = {here[axis.input.name]:g} {axis.input.unit}" for axis in axes)
+            place = ", ".join(f"{a.name} = {node:g} {a.input.unit}" for a, node in zip(axes, nodes, strict=True))
             found.add(f"at {place}: {error}" if axes else str(error))
     return designed
-
-
-def _point(given: Given, derivatives: Jacobians, values: Mapping[str, float]) -> Point:
-    """Where the plant settles with these inputs; with states among the values, the point that they name."""
-    start = point(given.model, values)
-    if any(signal.name in values for signal in given.model.states):
-        return start
-    return steady_state(derivatives, start).point
 
 
 def _stationary(given: Given, derivatives: Jacobians, at: Point, h: float) -> Stationary:
@@ -159,86 +178,53 @@ def weights(axes: Sequence[tuple[Any, Any]]) -> list[Any]:
 
 
 def _model(given: Given, axes: Sequence[Axis], designed: Sequence[Stationary], sample_time: float) -> Model:
-    known, n, m = given.model, len(given.scales), len(given.sensors)
-    nodes = len(designed)
+    known, m = given.model, len(given.sensors)
     gains = np.array([one.gain for one in designed])
-    plant = [name for signal in given.plant_states for name in signal.scalar_names()]
-    deviations = np.array([np.sqrt(np.diag(one.after))[: len(plant)] for one in designed])
+    count = sum(signal.size for signal in given.plant_states)
+    deviations = np.array([np.sqrt(np.diag(one.after))[:count] for one in designed])
     expected = np.array([one.innovation_covariance for one in designed])
-    units = [difference_unit(signal.unit) for signal in given.measured]
-    entries = [(i, j) for i in range(m) for j in range(m)]
 
     def sample(t: Any, x: Values, m_: Values, u: Values, p: Values) -> dict[str, Any]:
-        share = weights([(u[axis.input.name], p[f"grid_{axis.input.name}"]) for axis in axes])
-        seen = given.expected(t, x, m_, u, p)
-        innovation = [u[measured_name(name)] - seen[name] for name in given.sensors]
+        share = weights([(u[axis.input.name], p[f"grid_{axis.name}"]) for axis in axes])
 
         def here(table: Any, *place: int) -> Any:
-            return sum(
-                (w * table[(k, *place)] for k, w in enumerate(share[1:], 1)), start=share[0] * table[(0, *place)]
-            )
+            return sum(w * table[(k, *place)] for k, w in enumerate(share))
 
+        seen = given.expected(t, x, m_, u, p)
+        innovation = [u[measured_name(name)] - seen[name] for name in given.sensors]
         S = [[here(p.innovation_table, i, j) for j in range(m)] for i in range(m)]
-        after: dict[str, Any] = {}
-        row = 0
-        for signal in known.states:
-            flat = [
-                old + sum(here(p.gain, row + k, j) * innovation[j] for j in range(m))
-                for k, old in enumerate(np.ravel(np.asarray(x[signal.name], dtype=object)))
-            ]
-            row += signal.size
-            after[signal.name] = flat[0] if not signal.shape else _shaped(flat, signal.shape)
-        row = 0
-        for signal in given.plant_states:
-            flat = [here(p.deviation_table, row + k) for k in range(signal.size)]
-            row += signal.size
-            after[f"std_{signal.name}"] = flat[0] if not signal.shape else _shaped(flat, signal.shape)
-        after |= {f"innovation_{name}": v for name, v in zip(given.sensors, innovation, strict=True)}
-        after |= {f"innovation_covariance[{i + 1},{j + 1}]": S[i][j] for i, j in entries}
-        return after | {"nis": _normalised_square(innovation, S)}
+        moved = [
+            old + sum(here(p.gain_table, i, j) * innovation[j] for j in range(m))
+            for i, old in enumerate(scalars(x, known.states))
+        ]
+        return {
+            **by_signal(moved, known.states),
+            **by_signal([here(p.deviation_table, i) for i in range(count)], given.plant_states, "std_"),
+            **{f"innovation_{name}": v for name, v in zip(given.sensors, innovation, strict=True)},
+            "nis": _normalised_square(innovation, S),
+            **matrix_values(INNOVATION_COVARIANCE, S),
+        }
 
     return replace(
         known,
         name="constant_gain",
-        description=f"Kalman filter with {'a constant gain' if not axes else 'a scheduled gain'} on {known.name}",
+        description=f"Kalman filter with {'a scheduled' if axes else 'a constant'} gain on {known.name}",
         role="observer",
         equations=given.equations,
         inputs=(*known.inputs, *given.measured),
         outputs=given.outputs,
-        discrete=(
-            *known.discrete,
-            *(
-                replace(s, name=f"std_{s.name}", unit=difference_unit(s.unit), minimum=0.0, maximum=np.inf, local=False,
-                        start=0.0, description=f"standard deviation of {s.name} at rest")
-                for s in given.plant_states
-            ),
-            *(
-                Signal(f"innovation_{name}", unit, 0.0, f"{name}, measured less expected")
-                for name, unit in zip(given.sensors, units, strict=True)
-            ),
-            Signal("nis", "1", 0.0, "innovation squared, normalised by its covariance"),
-            *(Signal(f"innovation_covariance[{i + 1},{j + 1}]", product_unit(units[i], units[j])) for i, j in entries),
-        ),
+        discrete=(*known.discrete, *deviation_signals(given, deviations[0]), *innovation_signals(given)),
         parameters=(
             *known.parameters,
             Signal("sample_time", "s", sample_time, "time from sampling to sampling, which the gains hold for"),
-            *(
-                replace(a.input, name=f"grid_{a.input.name}", start=a.nodes, shape=(len(a.nodes),), description="nodes")
-                for a in axes
-            ),
-            Signal("gain", "1", gains, "gains by node, state, sensor, in their units", shape=(nodes, n, m)),
-            Signal("deviation_table", "1", deviations, "standard deviations at rest", shape=deviations.shape),
-            Signal("innovation_table", "1", expected, "covariance of the innovation at rest", shape=(nodes, m, m)),
+            *(Signal(f"grid_{a.name}", a.input.unit, a.nodes, "nodes", shape=a.nodes.shape) for a in axes),
+            Signal("gain_table", "1", gains, "gains by node, state, sensor, in their units", shape=gains.shape),
+            Signal("deviation_table", "1", deviations, "deviations at rest by node, state", shape=deviations.shape),
+            Signal("innovation_table", "1", expected, "innovation covariance at rest by node", shape=expected.shape),
         ),
         sample=sample,
         sample_time="sample_time",
-    )  # fmt: skip
-
-
-def _shaped(flat: Sequence[Any], shape: tuple[int, ...]) -> Any:
-    array = np.empty(len(flat), dtype=object)
-    array[:] = flat
-    return array.reshape(shape)
+    )
 
 
 def _normalised_square(innovation: Sequence[Any], S: Sequence[Sequence[Any]]) -> Any:

@@ -1,8 +1,8 @@
 /* The linear-Gaussian steps of observers/kalman.py over matrices of fixed size, row-major.
  *
  * Before it stand: N, the states estimated, which are the first of NX; M, the measurements; K, the states whose joint
- * covariance is shown, `shown`; where in the discrete states m and the parameters p things are, AT_...; where the
- * measurements begin in the inputs u, MEASURED.
+ * covariance is shown, `shown`; where in the discrete states m and the parameters p things are, AT_..., with a filter's
+ * own parameters AT_MORE; where the measurements begin in the inputs u, MEASURED.
  *
  * Covariances are in units of the nominal values, so that the states are of one size.
  */

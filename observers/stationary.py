@@ -70,7 +70,8 @@ def _require(interval: Interval, C: Array, h: float, states: list[str]) -> None:
     transition, noise = interval
     outputs = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), TINY)
     inputs = noise / max(float(np.abs(noise).max(initial=0.0)), TINY)
-    unseen, unmoved = [], []
+    unseen: list[str] = []
+    unmoved: list[str] = []
     for z in np.linalg.eigvals(transition):
         if abs(z) < 1.0 - MARGINAL or z.imag < 0.0:
             continue

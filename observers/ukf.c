@@ -53,7 +53,7 @@ static void mean_offset(const double *offsets, int size, double w, double *mean)
 static int kernel_sample(Instance *instance, double *xn, double *mn) {
     State *s = &instance->s;
     const double *m = s->v + M0, *p = s->v + P0, *scale = model_nominal;
-    const double h = interval_length(s), spread = p[AT_SPREAD], w = 0.5 / (spread * spread), now = s->v[0];
+    const double h = interval_length(s), spread = p[AT_MORE], w = 0.5 / (spread * spread), now = s->v[0];
     double Phi[N * N], Q[N * N], P[N * N], L[M * M], cross[N * M], S[M * M], gain[N * M], v[M], shift[N], expected[M],
         bias[M], point[NX];
     double offsets[POINTS * N], seen[POINTS * M];

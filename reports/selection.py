@@ -87,7 +87,8 @@ def _drawings(content: Mapping[str, Any]) -> dict[str, str]:
     rows = [*(f"d {name}/dt" for name in states), *sensors]
     drawings = {
         "structure": structure_matrix(rows, states, always, sometimes, "structure"),
-        "sees": number_matrix(sensors, states, _sees(content, states), "sees"),
+        "reaches": number_matrix(sensors, states, _far(content, "reaches", states), "reaches"),
+        "sees": number_matrix(sensors, states, _far(content, "sees", states) - 1.0, "sees"),
         "counts": index_histogram(content["counts"], "counts"),
     }
     if content["pairs"] is not None:
@@ -95,7 +96,7 @@ def _drawings(content: Mapping[str, Any]) -> dict[str, str]:
     return drawings
 
 
-def _sees(content: Mapping[str, Any], states: list[str]) -> np.ndarray:
-    """How many differentiations each sensor is away from each state, shape (sensors, states); NaN where for ever."""
-    rows = [[sensor["sees"].get(state, np.nan) for state in states] for sensor in content["sensors"]]
-    return np.array(rows, dtype=float) - 1.0
+def _far(content: Mapping[str, Any], key: str, states: list[str]) -> np.ndarray:
+    """A number for each sensor and state, shape (sensors, states); NaN where there is none."""
+    rows = [[sensor[key].get(state, np.nan) for state in states] for sensor in content["sensors"]]
+    return np.array(rows, dtype=float)

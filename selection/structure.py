@@ -107,6 +107,19 @@ def structurally_observable(A: Pattern, C: Pattern) -> bool:
     return int(structural_rank(matrix)) == n * n
 
 
+def distances(A: Pattern, C: Pattern, lags: Sequence[int]) -> NDArray[np.int64]:
+    """In which derivative of each sensor's value each state appears first, shape (s, n); -1 where in none.
+
+    That is the shortest way in the graph of the structure, one more for a sensor with a lag.
+    """
+    found = np.full(C.shape, -1, dtype=np.int64)
+    reached = C.copy()
+    for k in range(len(A)):
+        found[(found < 0) & reached] = k
+        reached = (reached.astype(np.int64) @ A) > 0
+    return np.where(found < 0, -1, found + np.array(lags, dtype=np.int64)[:, None])
+
+
 def free_rows(A: Pattern, C: Pattern, lags: Sequence[int], field: Field, seed: int) -> Rows:
     """A system of this structure whose entries are independent: random residues."""
     rng = np.random.default_rng([seed, field.bits])

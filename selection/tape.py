@@ -167,7 +167,7 @@ def differentiate(
             argument, element = step.sources
             made: Dual | None = Dual(leaf(argument, element), {element: one} if argument == states else {})
         elif step.operation == "CONST":
-            made = Dual(arithmetic.number(step.constant), {})
+            made = Dual(arithmetic.number(step.constant), {}) if math.isfinite(step.constant) else None
         else:
             made = _applied(step.operation, [work[source] for source in step.sources], choice, arithmetic)
         work[step.target[0]] = made

@@ -24,7 +24,7 @@ from fmus.jacobians import Point, jacobians, point
 from fmus.model import FlatModel
 from fmus.plants import turbo_si_speed
 from fmus.plants.turbo_si import MODEL, OUTPUTS, PARAMETER_SETS, PARAMETERS, STATES
-from fmus.steady import steady_state
+from fmus.steady import SteadyError, steady_state
 from fmus.tracing import trace
 from fmus.units import parse_unit
 
@@ -257,6 +257,11 @@ def test_the_equilibrium_is_where_a_long_simulation_ends(parameter_set):
     )  # fmt: skip
     # 150 s are above thirty times the slowest time constant here; LSODA's own tolerance remains.
     np.testing.assert_allclose(run.y[:, -1] * NOMINAL, found.point.x, rtol=1e-6)
+
+
+def test_an_engine_that_stands_still_has_no_single_equilibrium():
+    with pytest.raises(SteadyError, match=r"turbo_si has no single equilibrium here: T_\w+ is free"):
+        settled({"N": 0.0})
 
 
 def test_the_air_charge_is_the_cylinders_flow_over_a_cycle():

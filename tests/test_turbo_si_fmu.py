@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import runpy
 from functools import cache
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from harness.campaign import read_campaign
 from harness.cases import execute
 from harness.record import read_signals
 
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "turbo_si.md"
 TIP_IN = np.array([2000.0, 1.0, 0.95, 0.0, 101300.0, 298.0])
 TIP_OUT = np.array([2000.0, 0.08, 1.0, 0.5, 101300.0, 298.0])
 
@@ -166,41 +169,15 @@ def test_the_fastest_time_constant_is_too_short_for_rk4_at_a_millisecond_but_not
     assert loose.max() < 1e-3
 
 
-CAMPAIGN = """\
-campaign: tip
-clock: {time: {step: 1 ms, stop: 40 s}}
-seed: 3
-parts:
-  speed: {use: source, unit: rpm, constant: 2000 rpm}
-  pedal:
-    use: source
-    unit: "1"
-    table: {time: [0 s, 1 s, 1.1 s, 6 s, 6.1 s], value: [0.1, 0.1, 0.4, 0.4, 0.15], between: linear}
-  richness: {use: source, unit: "1", constant: 0.95}
-  wastegate: {use: source, unit: "1", constant: 0.2}
-  pressure: {use: source, unit: Pa, constant: 1.013 bar}
-  warmth: {use: source, unit: K, constant: 298 K}
-  plant:
-    use: fmus.plants.turbo_si
-    wires: {N: speed, alpha: pedal, lambda: richness, u_wg: wastegate, p_a: pressure, T_a: warmth}
-  p_im: {use: sensor, of: plant.p_im, noise: {std: 200 Pa}}
-  T_im: {use: sensor, of: plant.T_im, lag: 3 s}
-experiments:
-  A: {}
-  A_realistic: {set: {plant.set: A_realistic}}
-  B: {set: {plant.set: B}}
-metrics:
-  noise: {rmse: [plant.p_im, p_im.value], unit: Pa}
-  lag: {max_error: [plant.T_im, T_im.value], unit: K}
-accept:
-  - noise < 205 Pa
-  - lag > 0.5 K
-"""
+def block(language: str) -> str:
+    """The block of a language in docs/turbo_si.md."""
+    (text,) = re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    return str(text)
 
 
-def test_a_campaign_of_tip_in_and_tip_out_runs_all_three_sets_to_their_equilibria(tmp_path: Path):
+def test_the_documented_campaign_of_tip_in_and_tip_out_runs_all_three_sets_to_their_equilibria(tmp_path: Path):
     file = tmp_path / "tip.yaml"
-    file.write_text(CAMPAIGN)
+    file.write_text(block("yaml"))
     result = execute(read_campaign(file), tmp_path / "run", 1, lambda told: None, "kept")
     assert result.outcomes == {"A": "ok", "A_realistic": "ok", "B": "ok"} and result.accepted
     inputs = {"N": 2000.0, "alpha": 0.15, "lambda": 0.95, "u_wg": 0.2}
@@ -214,3 +191,19 @@ def test_a_campaign_of_tip_in_and_tip_out_runs_all_three_sets_to_their_equilibri
         for name, value in rest.items():
             # 34 s are ten of the slowest time constants, 3 s: 5e-5 of a change by half is left.
             assert record[f"plant.{name}"][-1] == pytest.approx(value, rel=1e-4), (label, name)
+
+
+def test_the_documented_way_to_equilibria_and_sensors_works(capsys: pytest.CaptureFixture[str]):
+    exec(block("python"), {})
+    first, second = capsys.readouterr().out.splitlines()
+    lagged, sensed, residual, worst = first.split()
+    assert lagged == sensed and float(residual) < 1e-9 and worst in {*STATE_NAMES, "T_im_lagged"}
+    assert second.startswith("(14, 14) (19, 14) ")
+
+
+def test_the_figures_of_the_document_are_drawn_by_its_command(tmp_path: Path):
+    script = runpy.run_path(str(PAGE.parent / "turbo_si" / "draw.py"))
+    drawn = {path.name for path in script["draw"](tmp_path, speeds=(2000.0,))}
+    shown = set(re.findall(r"\(turbo_si/(\w+\.svg)\)", PAGE.read_text(encoding="utf-8")))
+    kept = {path.name for path in (PAGE.parent / "turbo_si").glob("*.svg")}
+    assert drawn == shown == kept
