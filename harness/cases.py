@@ -19,6 +19,7 @@ from harness.criteria import Verdict, judge
 from harness.definitions import Definition, digest
 from harness.native import settle
 from harness.preflight import preflight, recorded_signals
+from harness.rankings import rankings_content
 from harness.record import COMPLETE, write_signals
 from harness.run import run
 from harness.runfolder import (
@@ -32,6 +33,7 @@ from harness.runfolder import (
     write_campaign,
     write_case,
     write_metrics,
+    write_rankings,
 )
 from harness.salvage import keep_failure
 from harness.signalsfile import GROUP, GroupSize
@@ -145,6 +147,8 @@ def _execute(
     write_metrics(folder, cases, campaign.metrics)
     verdicts = [judge(criterion, cases, units) for criterion in campaign.criteria]
     write_acceptance(folder, verdicts)
+    if campaign.report.rankings:
+        write_rankings(folder, rankings_content(campaign.report.rankings, cases, units))
     return Result(folder, {case.label: case.outcome for case in cases}, verdicts)
 
 
@@ -239,7 +243,7 @@ def _finished(folder: Path, case: Case) -> bool:
 def _clear(folder: Path, cases: Sequence[Case]) -> None:
     """Nothing of an earlier run is left to be taken for this one's."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("acceptance.json", "metrics.csv", "report.html"):
+    for name in ("acceptance.json", "metrics.csv", "rankings.json", "report.html"):
         (folder / name).unlink(missing_ok=True)
     for case in cases:
         _clear_unfinished(folder, case)

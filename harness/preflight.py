@@ -76,6 +76,7 @@ def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = 
                     units |= _units(campaign, name, signals[experiment])
     problems += _criterion_problems(campaign, units)
     problems += _figure_problems(campaign, signals)
+    problems += _ranking_problems(campaign, units)
     if problems:
         raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda one: (one.file, one.line, one.column)))
     return Readiness(units)
@@ -112,3 +113,15 @@ def _figure_problems(campaign: Campaign, signals: Mapping[str, Mapping[str, Sign
                 if known is not None and trace not in known:
                     message = f"report: no recorded signal is named '{trace}'{nearest_hint(trace, known)}"
                     yield campaign.places.problem(message, "report", "figures", index, "traces", panel, position)
+
+
+def _ranking_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
+    """Metrics of a ranking that are not in the unit of its first."""
+    for index, ranking in enumerate(campaign.report.rankings):
+        names = [name for name in map(ranking.metric_of, ranking.observers()) if name in units]
+        for name in names:
+            if units[name] != units[names[0]]:
+                message = (
+                    f"report: a ranking wants one unit, got {names[0]} in {units[names[0]]} and {name} in {units[name]}"
+                )
+                yield campaign.places.problem(message, "report", "rankings", index, "metric")

@@ -92,6 +92,7 @@ def reference_problems(document: Mapping[str, Any], places: Places) -> Iterator[
                 yield places.problem(message, "metrics", name, "only", index)
     names = {
         "metric": [*metrics, *broken, *results(metrics)],
+        "value": [*broken, *(name for name, (_, result) in results(metrics).items() if not result.sampled)],
         "experiment": experiments,
         "part": [
             *_mapping(document, "parts"),
@@ -101,7 +102,8 @@ def reference_problems(document: Mapping[str, Any], places: Places) -> Iterator[
     report, _ = validate(ReportSection, _mapping(document, "report"), places)
     for path, kind, name in report.references() if report is not None else ():
         if name not in names[kind]:
-            yield places.problem(f"report: {unknown(name, names[kind], kind)}", "report", *path)
+            called = "metric with one value a case" if kind == "value" else kind
+            yield places.problem(f"report: {unknown(name, names[kind], called)}", "report", *path)
     limits, _ = validate(Limits, _mapping(document, "limits"), places)
     if limits is None:
         return

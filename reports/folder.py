@@ -180,7 +180,7 @@ def read_run(folder: Path | str) -> Run:
         raise RunFolderError(f"{path}: wants a run folder, got {'a file' if path.exists() else 'nothing there'}")
     if not (path / "campaign.json").is_file():
         raise RunFolderError(f"{path}: wants campaign.json in a run folder, got {_listing(path)}")
-    campaign = _read(path / "campaign.json", dict)
+    campaign = read_json(path / "campaign.json", dict)
     for key, kind in (("campaign", str), ("cases", list)):
         if not isinstance(campaign.get(key), kind):
             raise RunFolderError(
@@ -204,7 +204,7 @@ def read_criteria(folder: Path) -> tuple[Criterion, ...]:
     if not path.is_file():
         raise RunFolderError(f"{path} is missing: the campaign was not judged; run it to its end with `crankbench run`")
     criteria = []
-    for number, entry in enumerate(_read(path, list), start=1):
+    for number, entry in enumerate(read_json(path, list), start=1):
         if (
             not isinstance(entry, dict)
             or not isinstance(entry.get("text"), str)
@@ -247,7 +247,7 @@ def _read_case(folder: Path, entry: Any) -> Case:
             values=_texts(entry.get("values")),
             message="no case.json: the case was never finished",
         )
-    found = _read(path, dict)
+    found = read_json(path, dict)
     if found.get("key", key) != key:
         raise RunFolderError(f"{path}: wants key {key}, got {_short(found['key'])}")
     return Case(
@@ -290,7 +290,8 @@ def _matrix(path: Path, name: str, raw: Any) -> Matrix:
     )
 
 
-def _read(path: Path, wanted: type) -> Any:
+def read_json(path: Path, wanted: type) -> Any:
+    """What a JSON file of a run folder holds, a `wanted`. Raises RunFolderError: it is no JSON, or of another kind."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:

@@ -21,6 +21,8 @@ from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, pool, samples_of
 from reports.folder import Case, Run, read_run
 from reports.interactive import interactive, points_a_trace
+from reports.rankings import read_rankings
+from reports.scatter import scatter
 from reports.traces import TRUTH_COLOUR, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
@@ -79,6 +81,7 @@ def render(run: Run) -> str:
         heat_maps=[(quantity, Markup(_heat_map(run, quantity, f"heat{n}"))) for n, quantity in enumerate(comparable)]
         if len(standing.scenarios(run)) > 1
         else [],
+        rankings=[(ranking, Markup(scatter(ranking, f"ranking{n}"))) for n, ranking in enumerate(read_rankings(run))],
         figures=[
             (
                 figure,
@@ -216,7 +219,8 @@ def _published(run: Run) -> list[dict[str, Any]]:
         values = [case.metrics[metric].value for case in cases if metric in case.metrics]
         values = [value for value in values if not math.isnan(value)] or list(samples_of(run, metric, cases))
         unit = standing.unit_of(run, metric)
-        ours = f"{metric}: no case of {experiment or 'the campaign'} has it" if metric else "see the figures"
+        ours = str(entry["ours"]) if entry.get("ours") is not None else "see the figures"
+        ours = f"{metric}: no case of {experiment or 'the campaign'} has it" if metric else ours
         if len(values) == 1:
             ours = numbers.with_unit(values[0], unit)
         elif values:

@@ -1,0 +1,167 @@
+"""Does a measure rank the observers as a metric does? Spearman's correlation over a campaign's cases, and how sure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from harness.criteria import Judged
+from harness.record import COMPLETE
+from harness.reportsection import Better, RankedMeasure, Ranking
+
+Array = NDArray[np.float64]
+LEVEL = 0.95
+
+Answer = Literal["agrees", "open", "opposes", "undefined"]
+
+
+class Correlation(NamedTuple):
+    """Spearman's rank correlation, its interval, and how many resamples the interval comes from; NaN where undefined.
+
+    It is 1 where the measure puts the observers in the very order of the metric, the best first in both.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    resamples: int
+
+    @property
+    def answer(self) -> Answer:
+        """What the interval says: above zero, below zero, or both are possible."""
+        if math.isnan(self.value) or math.isnan(self.lower):
+            return "undefined"
+        return "agrees" if self.lower > 0.0 else "opposes" if self.upper < 0.0 else "open"
+
+
+def spearman(one: Array, other: Array) -> Array:
+    """Spearman's rank correlation along the last axis, (..., n) and (..., n) to (...); NaN where one side is all ties.
+
+    rho = sum (r - r_mean)(s - s_mean)/sqrt(sum (r - r_mean)^2 sum (s - s_mean)^2), r and s the ranks, ties averaged.
+    Infinite values rank beyond all others.
+    """
+    r, s = (rankdata(values, axis=-1) for values in (one, other))
+    r, s = (ranks - ranks.mean(axis=-1, keepdims=True) for ranks in (r, s))
+    spread = np.sqrt((r**2).sum(axis=-1) * (s**2).sum(axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(spread > 0.0, (r * s).sum(axis=-1) / spread, np.nan))
+
+
+def median_cost(costs: Array) -> Array:
+    """The median over the cases of each observer, (observers, cases) to (observers,).
+
+    A failed case is infinite and so is a median between one and another; a case without the metric is NaN and not
+    counted; NaN where there is none at all.
+    """
+    if not np.isnan(costs).any():
+        return np.asarray(np.median(costs, axis=1))
+    found = np.full(len(costs), np.nan)
+    for i, row in enumerate(costs):
+        known = row[~np.isnan(row)]
+        if len(known):
+            found[i] = np.median(known)
+    return found
+
+
+def correlate(measure: Array, costs: Array, resamples: int, seed: int) -> Correlation:
+    """The rank correlation of `measure` (n,), less is better, with the median of `costs` (n, cases), less is better.
+
+    The interval holds the middle 95 % of resamples (Efron's percentile interval) in which both the observers and the
+    cases are drawn anew with replacement: another choice of sets, and other noise and engines. Observers share their
+    cases, so a case is drawn for all of them. Resamples in which a side is all ties have no correlation and are left
+    out.
+    """
+    value = float(spearman(measure, median_cost(costs))) if len(measure) > 1 else math.nan
+    if math.isnan(value):
+        return Correlation(math.nan, math.nan, math.nan, 0)
+    draw = np.random.default_rng(seed)
+    observers, cases = costs.shape
+    chosen = draw.integers(observers, size=(resamples, observers))
+    medians = np.array([median_cost(costs[:, draw.integers(cases, size=cases)]) for _ in range(resamples)])
+    resampled = np.take_along_axis(medians, chosen, axis=1)
+    # Where no case of an observer has the metric among those drawn, that resample says nothing of it.
+    whole = ~np.isnan(resampled).any(axis=1)
+    found = spearman(measure[chosen[whole]], resampled[whole])
+    found = found[~np.isnan(found)]
+    if not len(found):
+        return Correlation(value, math.nan, math.nan, 0)
+    tail = 50.0 * (1.0 - LEVEL)
+    lower, upper = np.percentile(found, [tail, 100.0 - tail])
+    return Correlation(value, float(lower), float(upper), len(found))
+
+
+def rankings_content(
+    rankings: Sequence[Ranking], cases: Sequence[Judged], units: Mapping[str, str]
+) -> list[dict[str, Any]]:
+    """What rankings.json holds: of each ranking the observers' medians, and of each measure its correlation with them."""
+    return [_ranking(ranking, cases, units) for ranking in rankings]
+
+
+def _ranking(ranking: Ranking, cases: Sequence[Judged], units: Mapping[str, str]) -> dict[str, Any]:
+    covered = [case for case in cases if not ranking.experiments or case.experiment in ranking.experiments]
+    observers = ranking.observers()
+    unit = units.get(ranking.metric_of(observers[0]), "1")
+    costs = {name: _costs(ranking, name, covered) for name in observers}
+    sign = _sign(ranking.better)
+    medians = {name: float(sign * median_cost(row[None, :])[0]) for name, row in costs.items()}
+    return {
+        "title": ranking.title,
+        "metric": ranking.metric,
+        "better": ranking.better,
+        "unit": unit,
+        "experiments": ranking.experiments,
+        "cases": len(covered),
+        "failed": sum(case.outcome not in COMPLETE for case in covered),
+        "resamples": ranking.resamples,
+        "seed": ranking.seed,
+        "level": LEVEL,
+        "note": ranking.note,
+        "medians": medians,
+        "measures": [_measure(name, measure, ranking, costs, medians) for name, measure in ranking.measures.items()],
+    }
+
+
+def _measure(
+    name: str, measure: RankedMeasure, ranking: Ranking, costs: Mapping[str, Array], medians: Mapping[str, float]
+) -> dict[str, Any]:
+    known = [observer for observer in measure.values if not math.isnan(medians[observer])]
+    sign = _sign(measure.better)
+    ranked = np.array([_worst_if_none(measure.values[observer], sign) for observer in known])
+    rows = np.array([costs[observer] for observer in known])
+    found = correlate(ranked, rows, ranking.resamples, ranking.seed) if known else Correlation(*[math.nan] * 3, 0)
+    return {
+        "name": name,
+        "title": measure.title or name,
+        "better": measure.better,
+        "values": {observer: measure.values[observer] for observer in known},
+        "correlation": found.value,
+        "lower": found.lower,
+        "upper": found.upper,
+        "resamples": found.resamples,
+        "answer": found.answer,
+    }
+
+
+def _costs(ranking: Ranking, observer: str, cases: Sequence[Judged]) -> Array:
+    """An observer's metric by case so that less is better."""
+    name, sign = ranking.metric_of(observer), _sign(ranking.better)
+    found = np.full(len(cases), np.nan)
+    for i, case in enumerate(cases):
+        if case.outcome not in COMPLETE:
+            found[i] = np.inf
+        elif name in case.metrics:
+            found[i] = sign * case.metrics[name].value
+    return found
+
+
+def _sign(better: Better) -> float:
+    return 1.0 if better == "lower" else -1.0
+
+
+def _worst_if_none(value: float | None, sign: float) -> float:
+    return math.inf if value is None else sign * value
