@@ -105,6 +105,10 @@ class Told:
         self.read.append(name)
         return self.whole[name].copy()
 
+    def pieces(self, names):
+        self.read += names
+        return self.whole.pieces(names)
+
 
 @pytest.mark.parametrize(
     ("definition", "wanted"),
