@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from fmus.component import Kind, Signal
 from fmus.model import Model, ModelError, unknown
 from fmus.tracing import Traced
+from fmus.units import difference_unit
 
 Pattern = NDArray[np.bool_]
 
@@ -109,6 +110,7 @@ def _state_variables(model: Model, assigned: Collection[str]) -> tuple[list[Vari
 def _per_second(unit: str) -> str:
     if unit == "1":
         return "1/s"
+    unit = difference_unit(unit)
     return f"{unit}2" if unit.endswith("/s") else f"{unit}/s"
 
 

@@ -152,6 +152,18 @@ def spelling(unit: Unit, name: str = "") -> str | None:
     return None
 
 
+def difference_unit(text: str) -> str:
+    """The unit of a difference of two quantities: their unit, or the one without its offset."""
+    unit = parse_unit(text)
+    return (spelling(Unit(unit.exponents, unit.factor)) or unit.si_name()) if unit.offset else text
+
+
+def product_unit(one: str, other: str) -> str:
+    """The unit of a product of two differences."""
+    factors = [unit for unit in (difference_unit(one), difference_unit(other)) if unit not in ("", "1")]
+    return ".".join(factors) or "1"
+
+
 def convert(value: float, from_unit: str, to_unit: str) -> float:
     """`value` converted between two units of one dimension. Raises UnitError naming both."""
     source, target = parse_unit(from_unit), parse_unit(to_unit)

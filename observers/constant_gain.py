@@ -45,7 +45,7 @@ class Axis(NamedTuple):
 def make(
     plant: str | Model,
     sensors: list[str],
-    noise: dict[str, Any],
+    noise: dict[str, Any] | str | float,
     process: dict[str, Any] | str | float,
     at: dict[str, Any] | None = None,
     grid: dict[str, Any] | None = None,
@@ -213,7 +213,7 @@ def _model(given: Given, axes: Sequence[Axis], designed: Sequence[Stationary], s
         equations=given.equations,
         inputs=(*known.inputs, *given.measured),
         outputs=given.outputs,
-        discrete=(*known.discrete, *deviation_signals(given, deviations[0]), *innovation_signals(given)),
+        discrete=(*known.discrete, *deviation_signals(given, deviations[0]), *innovation_signals(given, expected[0])),
         parameters=(
             *known.parameters,
             Signal("sample_time", "s", sample_time, "time from sampling to sampling, which the gains hold for"),

@@ -13,7 +13,7 @@ from observers.kalman import Gaussian, correct, discretise, predict_covariance
 def make(
     plant: str | Model,
     sensors: list[str],
-    noise: dict[str, Any],
+    noise: dict[str, Any] | str | float,
     process: dict[str, Any] | str | float,
     uncertainty: dict[str, Any] | str | float,
     start: dict[str, Any] | None = None,

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.component import Signal
-from fmus.jacobians import Jacobians, Point, jacobians
-from fmus.model import Kernel, Model, Values, unknown
-from observers.given import Complaints, Given, difference_unit, measured_name, read_deviations
+from fmus.jacobians import Jacobians, Point, jacobians, point
+from fmus.model import Kernel, Model, ModelError, Values, unknown
+from fmus.units import difference_unit
+from observers.given import Complaints, Given, measured_name, read_deviations
 from observers.kalman import Gaussian, normalised_square
 from observers.told import (
     INNOVATION_COVARIANCE,
@@ -225,9 +226,18 @@ def _discrete(given: Given, uncertainty: Array, shown: tuple[int, ...]) -> list[
             COVARIANCE, "1", whole / np.outer(scales, scales), "covariance in nominal values", shape=(n, n), local=True
         ),
         *deviation_signals(given, uncertainty),
-        *innovation_signals(given),
+        *innovation_signals(given, _first_innovation(given, uncertainty)),
         *matrix_signals("covariance", [units[i] for i in shown], whole[np.ix_(shown, shown)]),
     ]
+
+
+def _first_innovation(given: Given, uncertainty: Array) -> Array:
+    """C P C' + R (m, m) at the start. Raises ModelError: the model has no finite derivatives there."""
+    linear = jacobians(given.model).at(point(given.model))
+    C = linear.C[-len(given.sensors) :] * uncertainty
+    if not (np.isfinite(C).all() and np.isfinite(linear.A).all()):
+        raise ModelError(f"{given.model.name} has no finite derivatives at its start values")
+    return np.asarray(C @ C.T + np.diag(given.noise**2), dtype=np.float64)
 
 
 def _source(

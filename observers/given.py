@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fmus.component import ConfigurationError, Problem, Signal
 from fmus.model import Model, ModelError, Values, unknown
 from fmus.sensing import sensor_name, with_sensors
-from fmus.units import Unit, UnitError, parse_quantity, parse_unit, spelling
+from fmus.units import Unit, UnitError, parse_quantity, parse_unit
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ class Complaints:
 def read_given(
     plant: str | Model,
     sensors: Sequence[str],
-    noise: Mapping[str, Any],
+    noise: Mapping[str, Any] | str | float,
     process: Mapping[str, Any] | str | float,
     found: Complaints,
     *,
@@ -286,15 +286,3 @@ def read_deviations(
             found.add(f"{what}: {signal.name} wants 0 {signal.unit} or more, got {number:g}")
         values += [np.nan if number is None else number] * signal.size
     return np.array(values)
-
-
-def difference_unit(unit: str) -> str:
-    """The unit of a difference: that of the quantity, or the one without its offset."""
-    parsed = parse_unit(unit)
-    return (spelling(Unit(parsed.exponents, parsed.factor)) or parsed.si_name()) if parsed.offset else unit
-
-
-def product_unit(one: str, other: str) -> str:
-    """The unit of a product of two differences."""
-    factors = [unit for unit in (difference_unit(one), difference_unit(other)) if unit not in ("", "1")]
-    return ".".join(factors) or "1"

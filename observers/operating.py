@@ -65,12 +65,14 @@ class OperatingPoints:
             shown = [one.shows(name) for one in tried]
             told = f"one each in {places}" if pairs else f"none, it settles at {min(shown):.6g} to {max(shown):.6g}"
             raise ModelError(f"wants one value of {by.name} that settles {name} at {wanted:g}; there is {told}")
-        ((one, other),) = pairs
+        near = list(pairs[0])
 
         def missed(value: float) -> float:
-            return self._settled({**values, by.name: value}, one.steady).outputs[name] - wanted
+            nearest = min(near, key=lambda tried: abs(tried.value - value))
+            near.append(_Tried(value, self._settled({**values, by.name: value}, nearest.steady)))
+            return near[-1].shows(name) - wanted
 
-        return float(brentq(missed, one.value, other.value, xtol=TOLERANCE * (by.maximum - by.minimum)))
+        return float(brentq(missed, near[0].value, near[1].value, xtol=TOLERANCE * (by.maximum - by.minimum)))
 
     def _along(self, values: Mapping[str, float], by: Signal) -> list[_Tried]:
         """Values of the input over its range, and where the model settles; where it does not they are left out."""

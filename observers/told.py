@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus.component import Signal
-from observers.given import Given, difference_unit, product_unit
+from fmus.units import difference_unit, product_unit
+from observers.given import Given
 
 Array = NDArray[np.float64]
 INNOVATION_COVARIANCE = "innovation_covariance"
@@ -34,8 +35,8 @@ def deviation_signals(given: Given, start: Array, prefix: str = "std_") -> list[
     ]
 
 
-def innovation_signals(given: Given) -> list[Signal]:
-    """`innovation_` + sensor, `nis`, and the elements of `innovation_covariance`."""
+def innovation_signals(given: Given, start: Array) -> list[Signal]:
+    """`innovation_` + sensor, `nis`, and the elements of `innovation_covariance`, which is `start` (m, m) at first."""
     units = [difference_unit(signal.unit) for signal in given.measured]
     return [
         *(
@@ -43,7 +44,7 @@ def innovation_signals(given: Given) -> list[Signal]:
             for name, unit in zip(given.sensors, units, strict=True)
         ),
         Signal("nis", "1", 0.0, "innovation squared, normalised by its covariance"),
-        *matrix_signals(INNOVATION_COVARIANCE, units, np.zeros((len(units), len(units)))),
+        *matrix_signals(INNOVATION_COVARIANCE, units, start),
     ]
 
 

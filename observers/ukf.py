@@ -21,7 +21,7 @@ TWIN_TOLERANCE = 1e-11
 def make(
     plant: str | Model,
     sensors: list[str],
-    noise: dict[str, Any],
+    noise: dict[str, Any] | str | float,
     process: dict[str, Any] | str | float,
     uncertainty: dict[str, Any] | str | float,
     start: dict[str, Any] | None = None,

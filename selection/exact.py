@@ -59,7 +59,10 @@ def precise_model(branch: Branch, digits: int) -> Precise:
             dense = [_dense(row, len(states)) for row in found.A]
             if not any(found.rates):
                 break
-            step = solve(dense, found.rates)
+            try:
+                step = solve(dense, found.rates)
+            except ArithmeticError as error:
+                raise ArithmeticError("there is no isolated equilibrium at the point: A is singular there") from error
             states = [value - change for value, change in zip(states, step, strict=True)]
             size = max(abs(change) / scale for change, scale in zip(step, sizes, strict=True))
             if last is not None and size >= last and size < Decimal(10) ** -(digits * 3 // 4):

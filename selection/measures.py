@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, expm, solve_discrete_are
+from scipy.linalg import block_diag, expm, qr, solve_discrete_are
 
 from fmus.component import Vector
 from selection.numerical import EPS
@@ -96,7 +96,7 @@ def growing_modes(A: Vector) -> list[complex]:
     """
     values = np.linalg.eigvals(A)
     least = EPS * len(A) * np.linalg.norm(A)
-    return sorted((complex(v) for v in values if v.real > -least), key=lambda v: -v.real)
+    return sorted((complex(v) for v in values if v.real >= -least), key=lambda v: -v.real)
 
 
 def gramian_factors(plant: Plant) -> Vector:
@@ -143,11 +143,17 @@ def _triangular(rows: Vector, n: int) -> Vector:
 def information(factors: Vector, wanted: Sequence[int]) -> Information:
     """What a set knows of the wanted states, from the factors of its sensors, shape (size, n, n)."""
     n = factors.shape[2]
-    order = [*(j for j in range(n) if j not in wanted), *wanted]
-    factor = _triangular(factors[:, :, order].reshape(-1, n), n)
-    part = factor[n - len(wanted) :, n - len(wanted) :]
-    values = np.linalg.svd(part, compute_uv=False)
-    if values[-1] <= RESOLVED * np.linalg.norm(factor):
+    others = [j for j in range(n) if j not in wanted]
+    rows = factors.reshape(-1, n)
+    part, size = rows[:, list(wanted)], float(np.linalg.norm(rows))
+    if others:
+        # What of the wanted columns is at right angles to the others: its square is the Schur complement. Columns that
+        # are zero but for rounding, of states that are not seen themselves, take nothing away from it.
+        Q, R, _ = qr(rows[:, others], pivoting=True)
+        rank = int((np.abs(np.diag(R)) > n * EPS * size).sum())
+        part = Q[:, rank:].T @ part
+    values = np.linalg.svd(part, compute_uv=False) if len(part) >= len(wanted) else np.zeros(len(wanted))
+    if values[-1] <= RESOLVED * size:
         return Information(None, None, None, "information on a state is zero, or less than rounding tells from zero")
     return Information(float(values[-1] ** 2), float(2.0 * np.log(values).sum()), float((1.0 / values**2).sum()))
 

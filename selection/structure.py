@@ -23,8 +23,9 @@ Pattern = NDArray[np.bool_]
 
 # Of differences, an entry is zero where it is below this share of its row, or of ten times what they are worth.
 NOTHING = 1e-9
-# How far around a point an FMU's entries are looked for, of the sizes of states and inputs, and at how many places.
-AROUND, PLACES = 0.01, 4
+# How far around a point an FMU's entries are looked for, of the sizes of states and inputs, and at how many places: off
+# special values, like an air-fuel ratio of one, yet on the same side of what is compared, like two pressures nearby.
+AROUND, PLACES = 1e-4, 4
 
 
 @dataclass(frozen=True)

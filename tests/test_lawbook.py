@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from filtered import SPRING
 from lawbook import Course, check_component
 from third_party import OPENMODELICA, pythonfmu3_fmu, pythonfmu_fmu, reference_fmu, third_party_fmu
 
@@ -18,10 +19,11 @@ from fmus.plants import driveline, turbo_si, turbo_si_speed
 from harness.campaign import find_campaign, read_campaign
 from harness.scenario import ModelPart
 from harness.wiring import wire
-from observers import evasion, hybrid, luenberger, open_loop, switched
+from observers import constant_gain, ekf, evasion, hybrid, luenberger, model_alone, open_loop, switched, ukf
 
 PLANT = "fmus.plants.driveline"
 DEMANDS = {"plant": PLANT, "delay": 0.02, "dwell": 0.1, "rate": 5.0}
+SENSED = {"plant": SPRING, "sensors": ["x", "gauge"], "noise": 0.1, "process": 0.1, "sample_time": 0.01}
 MODELS: dict[str, Callable[[], Model]] = {
     "driveline": lambda: driveline.MODEL,
     "turbo_si": lambda: turbo_si.MODEL,
@@ -34,6 +36,10 @@ MODELS: dict[str, Callable[[], Model]] = {
     "switched": lambda: switched.make(**DEMANDS),
     "luenberger": lambda: luenberger.make(**DEMANDS, location=2),
     "open_loop": lambda: open_loop.make(plant=PLANT),
+    "model_alone": lambda: model_alone.make(PLANT),
+    "constant_gain": lambda: constant_gain.make(**SENSED, grid={"push": "[-1, 1] m/s2"}),
+    "ekf": lambda: ekf.make(**SENSED, uncertainty=0.1),
+    "ukf": lambda: ukf.make(**SENSED, uncertainty=0.1),
     "evasion": lambda: evasion.make(PLANT, 2, 3, delay=0.2, threshold="0.1 rpm", bandwidth=300.0, entry_error=10.0),
 }
 # Each with the step of its default experiment. The ball stays above the ground for these steps.
