@@ -15,6 +15,7 @@ from harness.record import COMPLETE
 from harness.reportsection import Better, RankedMeasure, Ranking
 
 Array = NDArray[np.float64]
+# The share of the resamples that an interval holds.
 LEVEL = 0.95
 
 Answer = Literal["agrees", "open", "opposes", "undefined"]
@@ -37,6 +38,9 @@ class Correlation(NamedTuple):
         if math.isnan(self.value) or math.isnan(self.lower):
             return "undefined"
         return "agrees" if self.lower > 0.0 else "opposes" if self.upper < 0.0 else "open"
+
+
+NO_CORRELATION = Correlation(math.nan, math.nan, math.nan, 0)
 
 
 def spearman(one: Array, other: Array) -> Array:
@@ -78,7 +82,7 @@ def correlate(measure: Array, costs: Array, resamples: int, seed: int) -> Correl
     """
     value = float(spearman(measure, median_cost(costs))) if len(measure) > 1 else math.nan
     if math.isnan(value):
-        return Correlation(math.nan, math.nan, math.nan, 0)
+        return NO_CORRELATION
     draw = np.random.default_rng(seed)
     observers, cases = costs.shape
     chosen = draw.integers(observers, size=(resamples, observers))
@@ -98,7 +102,7 @@ def correlate(measure: Array, costs: Array, resamples: int, seed: int) -> Correl
 def rankings_content(
     rankings: Sequence[Ranking], cases: Sequence[Judged], units: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """What rankings.json holds: of each ranking the observers' medians, and of each measure its correlation with them."""
+    """What rankings.json holds: of each ranking the observers' medians, of each measure its correlation with them."""
     return [_ranking(ranking, cases, units) for ranking in rankings]
 
 
@@ -133,7 +137,7 @@ def _measure(
     sign = _sign(measure.better)
     ranked = np.array([_worst_if_none(measure.values[observer], sign) for observer in known])
     rows = np.array([costs[observer] for observer in known])
-    found = correlate(ranked, rows, ranking.resamples, ranking.seed) if known else Correlation(*[math.nan] * 3, 0)
+    found = correlate(ranked, rows, ranking.resamples, ranking.seed) if known else NO_CORRELATION
     return {
         "name": name,
         "title": measure.title or name,

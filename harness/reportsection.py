@@ -124,7 +124,7 @@ class ReportSection(Strict):
             for position, experiment in enumerate(ranking.experiments):
                 yield ("rankings", index, "experiments", position), "experiment", experiment
             for name, measure in ranking.measures.items():
-                for observer in measure.values:
-                    path = ("rankings", index, "measures", name, "values", observer)
-                    yield path, "part", observer
-                    yield path, "value", ranking.metric_of(observer)
+                for ranked in measure.values:
+                    path = ("rankings", index, "measures", name, "values", ranked)
+                    yield path, "part", ranked
+                    yield path, "value", ranking.metric_of(ranked)

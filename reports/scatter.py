@@ -55,5 +55,5 @@ def _panel(axis: Axes, measure: Ranked, ranking: Ranking) -> None:
         axis.plot(at, medians[without], "o", color=INK, fillstyle="none", markersize=5, transform=edge)
     lost = int(np.isinf(medians).sum())
     remark = f"\n{lost} failed" if lost else ""
-    axis.set_title(f"ρ = {short(measure.correlation, 2)}{remark}", loc="left", fontsize=9)
+    axis.set_title(f"rank correlation {short(measure.correlation, 2)}{remark}", loc="left", fontsize=9)
     axis.set_xlabel(measure.title, fontsize=8.5)

@@ -113,7 +113,7 @@ def test_the_interval_covers_the_true_correlation_about_as_often_as_it_says():
         pair = np.random.default_rng(seed).multivariate_normal([0.0, 0.0], [[1.0, r], [r, 1.0]], size=40)
         found = correlate(pair[:, 0], pair[:, 1:], 200, seed)
         hits += found.lower <= truth <= found.upper
-    # 95 % of 200 is 190; three deviations of that binomial are 9, and percentile intervals of 40 pairs are a little short.
+    # 95 % of 200 is 190, three deviations of that binomial are 9; percentile intervals of 40 pairs are a little short.
     assert 174 <= hits <= 199
 
 

@@ -18,6 +18,7 @@ from harness.campaigns.air_charge_truth import ENGINES, OFF
 from harness.operating import Operation
 from harness.selecting import select
 from harness.wishes import Wishes
+from selection.observability import METHODS
 
 Set = tuple[str, ...]
 WANTED = ("p_im", "T_im", "p_em")
@@ -66,7 +67,6 @@ MEASURES = {
     "gramian_log_det": Measure("gramian_log_det", "log det of the Gramian", "higher"),
     "gramian_trace_inverse": Measure("gramian_trace_inverse", "trace of the inverse Gramian", "lower"),
 }
-METHODS = ("structural", "coupled", "exact", "numerical")
 Values = Mapping[Set, float | None]
 
 
@@ -153,7 +153,10 @@ def campaign(found: Mapping[str, Values]) -> Iterator[str]:
     yield from HEAD.splitlines()
     yield from (f"  s_{name}: {_sensor(name)}" for name in SENSORS)
     yield "  # The model on its inputs alone."
-    yield f"  open_loop: {{use: observers.model_alone, with: {{plant: {PLANT}, outputs: [cac_stroke]}}, wires: {INPUTS}}}"
+    yield "  open_loop:"
+    yield "    use: observers.model_alone"
+    yield f"    with: {{plant: {PLANT}, outputs: [cac_stroke]}}"
+    yield f"    wires: {INPUTS}"
     sets = chosen(found)
     yield "  # Extended Kalman filters: Table 1, the best and the worst by each measure, twenty drawn, and every sensor."
     for members in [*sets, SENSORS]:
@@ -181,7 +184,7 @@ def campaign(found: Mapping[str, Values]) -> Iterator[str]:
         yield f"    {part}: {{title: '{title}', metrics: [charge_{part}]}}"
     yield from _published(found)
     yield "  rankings:"
-    yield from _ranking("Does a better measure mean a smaller error of the air charge? All sets of three", found, sets)
+    yield from _ranking("Does a better measure mean a smaller error of the air charge? The sets run", found, sets)
     note = f"Sets picked for being extreme make any relation look stronger: drawn by random.Random({SEED})"
     yield from _ranking("The same of the twenty sets drawn", found, random_sets(), note)
 
@@ -191,7 +194,7 @@ INPUTS = "{N: N, alpha: alpha, lambda: lambda_, u_wg: u_wg, p_a: p_a, T_a: T_a}"
 HEAD = f"""\
 # Written by `python -m harness.campaigns.air_charge`, which says where the numbers come from.
 campaign: air-charge
-description: Which three of 17 sensors see the air charge of a turbocharged engine (IFAC 2005), and what filters make of them
+description: Which three of 17 sensors see the air charge of a turbocharged engine, put to the test (IFAC 2005)
 clock: {{time: {{step: 10 ms, stop: 30 s}}}}
 seed: 1
 parts:
@@ -296,11 +299,11 @@ def _experiments() -> Iterator[str]:
     yield "  wastegate:"
     yield "    description: Wastegate from closed to half open at 12 s, to a fifth at 20 s; throttle 0.3, 2000 rpm"
     yield "    parts:"
-    yield f"      alpha: {{use: source, unit: '1', constant: 0.3}}"
+    yield "      alpha: {use: source, unit: '1', constant: 0.3}"
     yield f"      u_wg: {_held({0: 0.0, 12: 0.5, 20: 0.2})}"
     yield "    vary: *engines"
     yield "  wltc:"
-    yield f"    description: {len(WLTC) - 1} s of the WLTC of class 3b from {WLTC_FROM} s on, in a gear of {RATIO:g} and tyres of {TYRE:g} m"
+    yield f"    description: WLTC of class 3b from {WLTC_FROM} s on for {len(WLTC) - 1} s, one gear ({RATIO:g}, tyres {TYRE:g} m)"
     yield "    parts:"
     yield f"      N: {_table(engine_speed(), 'rpm', 0)}"
     yield f"      alpha: {_table(throttle(), '1', 4)}"
