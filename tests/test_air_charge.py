@@ -48,7 +48,7 @@ def test_the_engines_filter_is_its_python_source(name):
         return run.y[:, -1] * scales
 
     twin = TwinFilter(model, H, flow)
-    for k in range(3):
+    for k in range(1 if name == "ukf" else 3):  # the twin's solver takes its time with 28 points
         seen = {"alpha": 0.15 + 0.02 * k, "p_im_measured": 70e3, "T_im_measured": 301.0, "p_em_measured": 113e3}
         row, wanted = estimator(**seen), twin(**seen)
         for key, value in row.items():
@@ -202,9 +202,10 @@ def test_what_is_wrong_with_a_grid_is_named():
 
 
 def test_a_node_at_which_the_plant_does_not_settle_is_named():
-    told = complaints(constant_gain.make, grid={"alpha": [0.1, 0.2]}, at={"N": "2000 rpm", "p_a": "-100 kPa"})
+    told = complaints(constant_gain.make, grid={"alpha": [0.1, 0.2]}, parameters={"V_im": "0 L"})
     assert len(told) == 2
-    assert told[0].startswith("at alpha = 0.1 1: turbo_si") and told[1].startswith("at alpha = 0.2 1: turbo_si")
+    assert told[0].startswith("at alpha = 0.1 1: turbo_si cannot start here: the derivative of p_im")
+    assert told[1].startswith("at alpha = 0.2 1: turbo_si")
 
 
 def test_a_stationary_gain_wants_noise_on_every_sensor_and_a_sample_time():
