@@ -13,6 +13,7 @@ from fmus.whereabouts import Whereabouts, doing
 from fmus.whole import write_whole
 from harness import workplace
 from harness.campaign import Campaign, Case
+from harness.campaignselection import selection_content
 from harness.clock import Grid
 from harness.crew import Crew
 from harness.criteria import Verdict, judge
@@ -32,6 +33,7 @@ from harness.runfolder import (
     write_acceptance,
     write_campaign,
     write_case,
+    write_json,
     write_metrics,
     write_rankings,
 )
@@ -130,6 +132,7 @@ def _execute(
             worker.close()
         return list(signals)
 
+    selected = selection_content(campaign)
     units = preflight(campaign, look).units
     kept = [case for case in campaign.cases if finished == "kept" and _finished(folder, case)]
     _clear(folder, [case for case in campaign.cases if case not in kept])
@@ -147,6 +150,8 @@ def _execute(
     write_metrics(folder, cases, campaign.metrics)
     verdicts = [judge(criterion, cases, units) for criterion in campaign.criteria]
     write_acceptance(folder, verdicts)
+    if selected is not None:
+        write_json(folder / "selection.json", selected)
     if campaign.report.rankings:
         write_rankings(folder, rankings_content(campaign.report.rankings, cases, units))
     return Result(folder, {case.label: case.outcome for case in cases}, verdicts)
@@ -243,7 +248,7 @@ def _finished(folder: Path, case: Case) -> bool:
 def _clear(folder: Path, cases: Sequence[Case]) -> None:
     """Nothing of an earlier run is left to be taken for this one's."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("acceptance.json", "metrics.csv", "rankings.json", "report.html"):
+    for name in ("acceptance.json", "metrics.csv", "rankings.json", "selection.json", "report.html"):
         (folder / name).unlink(missing_ok=True)
     for case in cases:
         _clear_unfinished(folder, case)

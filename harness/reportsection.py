@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from harness.places import KeyPath
-from harness.quantity import Quantity, Strict
+from harness.quantity import Measure, Quantity, Strict
+from selection.observability import Method
 
 
 class ReportedObserver(Strict):
@@ -98,6 +99,21 @@ class Ranking(Strict):
         return list(dict.fromkeys(observer for measure in self.measures.values() for observer in measure.values))
 
 
+class ReportedSelection(Strict):
+    """A selection of sensors to show: what `crankbench select` gives of a model with the same words."""
+
+    target: str = Field(description="a plant's name, module, or module:name")
+    parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
+    estimate: list[str] = Field(min_length=1, description="the states to estimate")
+    max_sensors: int = Field(3, ge=1)
+    method: Method = "structural"
+    sensors: list[str] = Field(default_factory=list, description="states and outputs that may be measured")
+    noise: dict[str, Quantity] = Field(default_factory=dict, description="standard deviations of samples, by sensor")
+    period: Quantity = Field(Measure(10.0, "ms"), description="time between samples")
+    process: float = Field(0.01, ge=0.0, description="what disturbs each state, of its size in a second")
+    also_at: list[str] = Field(default_factory=list, description="points to show the structure at, too")
+
+
 class ReportSection(Strict):
     """What the report draws."""
 
@@ -105,6 +121,7 @@ class ReportSection(Strict):
     figures: list[Figure] = Field(default_factory=list)
     published: list[Published] = Field(default_factory=list)
     rankings: list[Ranking] = Field(default_factory=list)
+    selection: ReportedSelection | None = None
 
     def references(self) -> Iterator[tuple[KeyPath, str, str]]:
         """(where, metric or experiment or part or value, name) for every name that must exist in the campaign."""

@@ -19,10 +19,11 @@ from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
 from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, pool, samples_of
-from reports.folder import Case, Run, read_run
+from reports.folder import Case, Run, RunFolderError, read_run
 from reports.interactive import interactive, points_a_trace
 from reports.rankings import read_rankings
 from reports.scatter import scatter
+from reports.selection import METHODS, SelectionError, best, drawings, read_selection
 from reports.traces import TRUTH_COLOUR, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
@@ -101,6 +102,7 @@ def render(run: Run) -> str:
         detections=_detections(run),
         delays=_delays(run),
         published=_published(run),
+        selection=_selection(run),
         cases_listed=run.cases if len(run.cases) <= CASES_LISTED else (),
         metric_names=run.metric_names(),
         definitions=definitions(run),
@@ -122,6 +124,21 @@ def verdict(run: Run) -> tuple[str, str]:
     if not run.accepted:
         return "Not accepted", "bad"
     return ("Accepted", "good") if run.criteria else ("No criteria declared", "plain")
+
+
+def _selection(run: Run) -> dict[str, Any] | None:
+    """The selection that the run holds, and its drawings; None where it holds none. Raises RunFolderError."""
+    path = run.path / "selection.json"
+    if not path.is_file():
+        return None
+    try:
+        content = read_selection(path)
+        drawn = {name: Markup(drawing) for name, drawing in drawings(content).items()}
+        return {"content": content, "meaning": METHODS[content["method"]], "best": best(content), "drawn": drawn}
+    except SelectionError as error:
+        raise RunFolderError(str(error)) from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{path}: is not what a selection wants: {error!r}") from error
 
 
 def _heat_map(run: Run, quantity: standing.Quantity, name: str) -> str:

@@ -34,7 +34,7 @@ def write_page(selection: Path, page: Path) -> Path:
 
     Raises SelectionError: the file holds no selection.
     """
-    content = _read(selection)
+    content = read_selection(selection)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
@@ -47,16 +47,17 @@ def write_page(selection: Path, page: Path) -> Path:
         content=content,
         meaning=METHODS.get(content["method"], ""),
         style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
-        best=_best(content),
+        best=best(content),
         hidden=any(row["hidden"] for row in content["sets"]),
-        drawings={name: Markup(drawing) for name, drawing in _drawings(content).items()},
+        drawings={name: Markup(drawing) for name, drawing in drawings(content).items()},
         points=[content["structure"]["at"], *(other["at"] for other in content["structure"]["others"])],
     )
     write_whole(page, text)
     return page
 
 
-def _read(selection: Path) -> Mapping[str, Any]:
+def read_selection(selection: Path) -> Mapping[str, Any]:
+    """What the JSON file of a selection holds. Raises SelectionError: it is none."""
     try:
         content = json.loads(selection.read_text(encoding="utf-8"))
     except (OSError, json.JSONDecodeError) as error:
@@ -66,7 +67,7 @@ def _read(selection: Path) -> Mapping[str, Any]:
     return content
 
 
-def _best(content: Mapping[str, Any]) -> str:
+def best(content: Mapping[str, Any]) -> str:
     """The verdict: the sets of the least index, as far as they are shown."""
     known = [row["index"] for row in content["sets"] if row["index"] is not None]
     if not known:
@@ -78,22 +79,23 @@ def _best(content: Mapping[str, Any]) -> str:
     return f"{names}: index {least}, {alone} of {content['considered']}"
 
 
-def _drawings(content: Mapping[str, Any]) -> dict[str, str]:
+def drawings(content: Mapping[str, Any]) -> dict[str, str]:
+    """The drawings of a selection as SVG elements: structure, reaches, sees, counts, and pairs where there are any."""
     states = [state["name"] for state in content["states"]]
     sensors = [sensor["name"] for sensor in content["sensors"]]
     every = [content["structure"], *content["structure"]["others"]]
     stacked = np.array([np.concatenate([one["A"], one["C"]]) for one in every], dtype=bool)
     always, sometimes = (np.array(pick(stacked, axis=0)) for pick in (np.all, np.any))
     rows = [*(f"d {name}/dt" for name in states), *sensors]
-    drawings = {
+    drawn = {
         "structure": structure_matrix(rows, states, always, sometimes, "structure"),
         "reaches": number_matrix(sensors, states, _far(content, "reaches", states), "reaches"),
         "sees": number_matrix(sensors, states, _far(content, "sees", states) - 1.0, "sees"),
         "counts": index_histogram(content["counts"], "counts"),
     }
     if content["pairs"] is not None:
-        drawings["pairs"] = number_matrix(sensors, sensors, np.array(content["pairs"], dtype=float), "pairs")
-    return drawings
+        drawn["pairs"] = number_matrix(sensors, sensors, np.array(content["pairs"], dtype=float), "pairs")
+    return drawn
 
 
 def _far(content: Mapping[str, Any], key: str, states: list[str]) -> np.ndarray:

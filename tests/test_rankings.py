@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 import pytest
 from scipy import stats
-from test_report import Page
+from test_report import page_of
 from test_report_folder import build_run
 
 from fmus.component import ConfigurationError
@@ -15,10 +15,13 @@ from harness.campaign import read_campaign
 from harness.cases import execute
 from harness.criteria import Judged
 from harness.definitions import Value
+from harness.operating import Operation
 from harness.preflight import preflight
 from harness.rankings import correlate, median_cost, rankings_content, spearman
 from harness.reportsection import Ranking
-from harness.runfolder import write_rankings
+from harness.runfolder import plain, write_rankings
+from harness.selecting import SHOWN, select
+from harness.wishes import Wishes
 from reports.folder import RunFolderError, read_run
 from reports.html import write_report
 from reports.rankings import read_rankings
@@ -167,9 +170,47 @@ def test_a_campaign_answers_the_question_in_its_run_folder_and_its_report(tmp_pa
     price, size = ranking.measures
     assert price.correlation == pytest.approx(1.0)
     assert size.correlation == pytest.approx(0.5)  # ranks 2, 1, 3 and 1, 2, 3: 1 - 6 (1 + 1 + 0)/(3 (9 - 1))
-    page = Page(write_report(tmp_path / "run").read_text())
+    page = page_of(tmp_path / "run")
     assert "Is a dear sensor a good one?" in page.text("rankings")
     assert "yes: what the measure puts first does better" in page.text("rankings")
+
+
+SELECTION = """\
+  selection:
+    target: turbo_si
+    estimate: [p_im, T_im, p_em]
+    max_sensors: 1
+    noise: {p_im: 1 kPa}
+    also_at: ['p_im=40 kPa']
+"""
+
+
+def test_a_selection_is_kept_in_the_run_folder_as_the_command_gives_it_and_drawn(tmp_path):
+    campaign = read(tmp_path, CAMPAIGN + SELECTION)
+    execute(campaign, tmp_path / "run", 1, lambda ended: None)
+    wishes = Wishes(estimate=["p_im", "T_im", "p_em"], most=1, noise=["p_im=1 kPa"])
+    others = [Operation("turbo_si", ("p_im=40 kPa",))]
+    expected = select(Operation("turbo_si"), wishes, others, lambda what, done, total: None).to_json(SHOWN)
+    kept = json.loads((tmp_path / "run" / "selection.json").read_text())
+    # The measures were computed twice, on one machine by one code.
+    assert {**kept, "commit": ""} == {**plain(expected), "commit": ""}
+    page = page_of(tmp_path / "run")
+    assert "Which sensors see p_im, T_im, p_em?" in page.text("selection")
+    assert "(X)" in page.text("selection")  # p_im acts on p_ic and T_ic, but not where the throttle chokes
+
+
+def test_a_selection_of_what_is_not_there_is_told_before_anything_is_run(tmp_path):
+    campaign = read(tmp_path, CAMPAIGN + SELECTION.replace("T_im, p_em", "T_imm, p_em"))
+    with pytest.raises(ConfigurationError, match=r"ranked\.yaml:\d+:\d+: report: selection: .*did you mean 'T_im'"):
+        execute(campaign, tmp_path / "run", 1, lambda ended: None)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_damaged_selection_is_named(tmp_path):
+    folder = build_run(tmp_path / "run")
+    (folder / "selection.json").write_text('{"sets": []}')
+    with pytest.raises(RunFolderError, match=r"selection\.json: is not what a selection wants"):
+        write_report(folder)
 
 
 def test_a_campaign_that_asks_nothing_writes_no_rankings(tmp_path):
@@ -235,6 +276,6 @@ def test_the_report_draws_sets_without_a_value_and_never_computes_a_correlation(
         "medians": dict(zip(observers, [1.0, 2.0, None], strict=True)), "measures": [measure],
     }  # fmt: skip
     (folder / "rankings.json").write_text(json.dumps([entry]))
-    said = Page(write_report(folder).read_text()).text("rankings")
+    said = page_of(folder).text("rankings")
     for text in ("0.12", "-0.4 to 0.6", "not shown: the interval holds zero", "A note.", "seed 4"):
         assert text in said.replace("\N{MINUS SIGN}", "-"), text

@@ -121,7 +121,7 @@ WLTC: tuple[float, ...] = (
 )  # fmt: skip
 # [I] Third gear of a small car, its tyres, its road load.
 RATIO, TYRE, MASS, ROLLING, DRAG = 4.5, 0.31, 1400.0, 0.011, 0.40  # 1, m, kg, 1, kg/m (half the density times c_d A)
-# Of set A at the start values of `turbo_si`: N.m, rpm and opening. Throttles choke, so area goes with air, and so power.
+# Set A at the start values of `turbo_si`: N.m, rpm, opening. Area in proportion to air, so to power, as if it choked [I].
 AT_POINT = (92.2, 2000.0, 0.15)
 LEAST_OPENING = 0.06
 EXPERIMENTS = ("tip_in", "tip_out", "wastegate", "wltc")
@@ -158,7 +158,7 @@ def campaign(found: Mapping[str, Values]) -> Iterator[str]:
     yield f"    with: {{plant: {PLANT}, outputs: [cac_stroke]}}"
     yield f"    wires: {INPUTS}"
     sets = chosen(found)
-    yield "  # Extended Kalman filters: Table 1, the best and the worst by each measure, twenty drawn, and every sensor."
+    yield "  # Extended Kalman filters: Table 1, the best and worst by each measure, twenty drawn, and every sensor."
     for members in [*sets, SENSORS]:
         yield from _filter("ekf", _name("ekf", members), members, {"uncertainty": OFF})
     yield "  # Other filters on the best set and on the one that engines have."
@@ -183,6 +183,14 @@ def campaign(found: Mapping[str, Values]) -> Iterator[str]:
     for part, title in _titles(sets):
         yield f"    {part}: {{title: '{title}', metrics: [charge_{part}]}}"
     yield from _published(found)
+    yield "  selection:"
+    yield "    target: turbo_si"
+    yield f"    estimate: [{', '.join(WANTED)}]"
+    yield f"    noise: {{{', '.join(f'{name}: {noise}' for name, noise in NOISE.items())}}}"
+    yield f"    period: {PERIOD}"
+    yield f"    process: {PROCESS}"
+    # At the start values the throttle does not choke; there it does, and p_im acts on nothing before it.
+    yield "    also_at: ['p_im=40 kPa']"
     yield "  rankings:"
     yield from _ranking("Does a better measure mean a smaller error of the air charge? The sets run", found, sets)
     note = f"Sets picked for being extreme make any relation look stronger: drawn by random.Random({SEED})"
@@ -303,11 +311,13 @@ def _experiments() -> Iterator[str]:
     yield f"      u_wg: {_held({0: 0.0, 12: 0.5, 20: 0.2})}"
     yield "    vary: *engines"
     yield "  wltc:"
-    yield f"    description: WLTC of class 3b from {WLTC_FROM} s on for {len(WLTC) - 1} s, one gear ({RATIO:g}, tyres {TYRE:g} m)"
+    seconds = len(WLTC) - 1
+    gear = f"one gear ({RATIO:g}, tyres {TYRE:g} m)"
+    yield f"    description: WLTC of class 3b from {WLTC_FROM} s on for {seconds} s, {gear}"
     yield "    parts:"
     yield f"      N: {_table(engine_speed(), 'rpm', 0)}"
     yield f"      alpha: {_table(throttle(), '1', 4)}"
-    yield f"    set: {{clock.time.stop: {len(WLTC) - 1} s}}"
+    yield f"    set: {{clock.time.stop: {seconds} s}}"
     yield "    vary: *engines"
     yield "  same_engine:"
     yield "    description: Tip-in with an engine that is set A itself"
