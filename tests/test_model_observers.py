@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from filtered import CART, SPRING, SPRING_A, SPRING_C, TANKS, Filter, TwinFilter
 from fmpy.validation import validate_fmu
+from models import BLOW_UP
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.stats import chi2
@@ -401,6 +402,28 @@ def test_two_perfect_sensors_of_one_thing_end_the_run_and_are_named(name):
     with pytest.raises(StepError, match=wanted):
         estimator(one_measured=0.1, other_measured=0.2)
     estimator.component.close()
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_measurement_that_is_no_number_ends_the_run_and_is_named(name):
+    estimator = Filter(FILTERS[name].make(**SETTING, **UNCERTAIN), H)
+    with pytest.raises(StepError, match=r"'gauge_measured' less what is expected of it is nan at t = 0\.1 s"):
+        estimator(x_measured=0.0, gauge_measured=np.nan)
+    estimator.component.close()
+
+
+def test_a_sigma_point_that_the_model_cannot_bring_along_ends_the_run():
+    # x' = x^2 from 2 reaches infinity at 0.5 s, from 2 + sqrt(3) at 0.27 s.
+    model = ukf.make(BLOW_UP, ["x"], 0.1, 0.0, 1.0, sample_time=0.3)
+    estimator = Filter(model, 0.3)
+    with pytest.raises(
+        StepError, match=r"the sigma point that is off by 1\.73205 in 'x' could not be brought to t = 0\.3 s"
+    ):
+        estimator(x_measured=2.0)
+    estimator.component.close()
+    followed = Filter(ekf.make(BLOW_UP, ["x"], 0.1, 0.0, 1.0, sample_time=0.3), 0.3)
+    assert np.isfinite(followed(x_measured=5.0)["x"])
+    followed.component.close()
 
 
 def test_what_is_measured_steps_before_the_filter():
