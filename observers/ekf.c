@@ -4,7 +4,7 @@ static int kernel_sample(Instance *instance, double *xn, double *mn) {
     const double *m = s->v + M0, *p = s->v + P0, *scale = model_nominal;
     double Phi[N * N], Q[N * N], P[N * N], kept[N * N], expected[M], C[M * NX], scaled[M * N], cross[N * M], S[M * M],
         L[M * M], gain[N * M], v[M];
-    int i, j, k, row;
+    int i, j, k;
     memcpy(mn, m, sizeof(double) * NM);
     model_interval(s, m + AT_BEFORE, interval_length(s), Phi, Q);
     congruence(Phi, m + AT_COVARIANCE, P);
@@ -28,8 +28,7 @@ static int kernel_sample(Instance *instance, double *xn, double *mn) {
             for (k = 0; k < N; k++) sum += scaled[i * N + k] * cross[k * M + j];
             S[i * M + j] = S[j * M + i] = sum;
         }
-    row = innovation_root(S, L);
-    if (row >= 0) return singular_innovation(instance, row);
+    if (require_root(instance, v, S, L)) return ERROR;
     solve_gain(L, cross, gain);
 
     memcpy(xn, s->v + X0, sizeof(double) * NX);

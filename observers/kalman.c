@@ -120,14 +120,22 @@ static void solve_gain(const double *L, const double *cross, double *gain) {
     }
 }
 
-static int singular_innovation(Instance *instance, int row) {
+/* S = L L', or an error that names the measurement at fault. */
+static int require_root(Instance *instance, const double *v, const double *S, double *L) {
+    int i, row;
+    for (i = 0; i < M; i++)
+        if (!isfinite(v[i]) || !isfinite(S[i * M + i]))
+            return fail(instance, "'%s' less what is expected of it is %g at t = %.9g s, of the variance %g",
+                        model_name[U0 + MEASURED + i], v[i], instance->s.v[0], S[i * M + i]);
+    row = innovation_root(S, L);
+    if (row < 0) return OK;
     return fail(instance,
-                "the innovation covariance is singular at t = %.17g s: what '%s' shows is known without it; "
+                "the innovation covariance is singular at t = %.9g s: what '%s' shows is known without it; "
                 "give its sensor a noise",
                 instance->s.v[0], model_name[U0 + MEASURED + row]);
 }
 
-/* The gain and all that is shown of a sampling: innovation v (M), its covariance S, P after the correction. */
+/* All that is told of a sampling: x and P after the correction, the innovation v (M), its covariance S = L L'. */
 static void tell(const State *s, const double *x, const double *P, const double *v, const double *S, const double *L,
                  double *mn) {
     const double *scale = model_nominal;

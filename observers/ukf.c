@@ -31,7 +31,7 @@ static int spread_points(Instance *instance, const double *P, double spread, dou
     double L[N * N];
     int i, j, state = covariance_root(P, L);
     if (state >= 0)
-        return fail(instance, "the covariance is not positive semidefinite at t = %.17g s, at the state '%s'",
+        return fail(instance, "the covariance is not positive semidefinite at t = %.9g s, at the state '%s'",
                     instance->s.v[0], model_name[X0 + state]);
     for (j = 0; j < N; j++)
         for (i = 0; i < N; i++) {
@@ -58,7 +58,7 @@ static int kernel_sample(Instance *instance, double *xn, double *mn) {
         bias[M], point[NX];
     double offsets[POINTS * N], seen[POINTS * M];
     Instance one;
-    int i, j, k, row;
+    int i, j, k;
     memcpy(mn, m, sizeof(double) * NM);
     model_interval(s, m + AT_BEFORE, h, Phi, Q);
 
@@ -70,7 +70,9 @@ static int kernel_sample(Instance *instance, double *xn, double *mn) {
         for (i = 0; i < N; i++) one.s.v[X0 + i] = m[AT_BEFORE + i] + scale[i] * offsets[k * N + i];
         for (i = N; i < NX; i++) one.s.v[X0 + i] = 0;
         if (NZ && settle(&one.s) < 0) return fail(instance, "the events of a sigma point never settle");
-        if (integrate(&one, now)) return fail(instance, "a sigma point could not be brought to t = %.17g s", now);
+        if (integrate(&one, now))
+            return fail(instance, "the sigma point that is off by %g in '%s' could not be brought to t = %.9g s",
+                        scale[k % N] * offsets[k * N + k % N], model_name[X0 + k % N], now);
         for (i = 0; i < N; i++) offsets[k * N + i] = (one.s.v[X0 + i] - s->v[X0 + i]) / scale[i];
     }
     mean_offset(offsets, N, w, shift);
@@ -106,8 +108,7 @@ static int kernel_sample(Instance *instance, double *xn, double *mn) {
             cross[j * M + i] = sum;
         }
     }
-    row = innovation_root(S, L);
-    if (row >= 0) return singular_innovation(instance, row);
+    if (require_root(instance, v, S, L)) return ERROR;
     solve_gain(L, cross, gain);
     for (k = 0; k < POINTS; k++)
         for (i = 0; i < N; i++)

@@ -22,6 +22,8 @@ from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, labelled
 
 # Ink is a colour nothing else has, replaced in the SVG by the page's own text colour.
 INK = "#010203"
+# A heat map of more columns than this has room for colours only.
+MOST_NUMBERED = 10
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "crankbench",
     "svg.fonttype": "none",
@@ -93,8 +95,9 @@ def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, la
     high = high if high > low else low + 1.0
     norm = LogNorm(low, high) if positive else Normalize(low, high)
     with matplotlib.rc_context(STYLE | {"axes.grid": False}):
-        headings = [fill(column, 17) for column in columns]
-        lines = max(heading.count("\n") for heading in headings) + 1
+        crowded = len(columns) > MOST_NUMBERED  # then headings stand upright, and colours have to do
+        headings = [column if crowded else fill(column, 17) for column in columns]
+        lines = 0.4 * max(map(len, headings)) if crowded else max(heading.count("\n") for heading in headings) + 1
         width = 1.4 + 0.075 * max(map(len, rows)) + 1.25 * len(columns)
         drawing = Drawing(
             figsize=(min(max(width, 4.5), 11.5), 0.35 + 0.18 * lines + 0.27 * len(rows)), layout="constrained"
@@ -111,11 +114,21 @@ def heat_map(rows: Sequence[str], columns: Sequence[str], values: np.ndarray, la
         )
         for row, column in np.ndindex(*values.shape):
             value = float(values[row, column])
-            text = short(value) if np.isfinite(value) else "failed" if np.isinf(value) else "·"
+            if crowded and np.isfinite(value):
+                continue
+            text = (
+                "x"
+                if crowded and np.isinf(value)
+                else short(value)
+                if np.isfinite(value)
+                else "failed"
+                if np.isinf(value)
+                else "·"
+            )
             dark = np.isfinite(value) and float(norm(value)) > 0.55
             colour = INK if not np.isfinite(value) else "white" if dark else "black"
             axis.text(column + 0.5, row + 0.5, text, ha="center", va="center", color=colour, fontsize=9)
-        axis.set_xticks(np.arange(len(columns)) + 0.5, headings)
+        axis.set_xticks(np.arange(len(columns)) + 0.5, headings, rotation="vertical" if crowded else "horizontal")
         axis.set_yticks(np.arange(len(rows)) + 0.5, rows)
         axis.xaxis.tick_top()
         axis.tick_params(length=0)

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from filtered import CART, SPRING, SPRING_A, SPRING_C, TANKS, Filter, TwinFilter
+from fmpy.validation import validate_fmu
+from models import BLOW_UP
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.stats import chi2
 
 from fmus.component import ConfigurationError, Signal, StepError
+from fmus.export import cached_fmu
 from fmus.jacobians import Point, jacobians
 from fmus.model import Model
 from fmus.plants.driveline import MODEL as DRIVELINE
 from fmus.tracing import trace
+from harness.campaign import read_campaign
+from harness.cases import execute
 from observers import constant_gain, ekf, model_alone, ukf
 
 H = 0.1
@@ -271,6 +278,85 @@ def test_a_filter_that_samples_at_each_step_takes_steps_of_any_length(name):
     component.close()
 
 
+def test_a_model_with_arrays_is_filtered_as_the_same_one_in_scalars():
+    paired = Model(
+        name="paired",
+        description="SPRING with its first two states as an array",
+        equations=lambda t, x, m, u, p: (
+            {"s": np.array([x.s[1], -4.0 * x.s[0] - 0.5 * x.s[1] + x.d]), "d": -0.1 * x.d},
+            {"place": x.s[0], "gauge": x.s[1] + 0.5 * x.d},
+        ),
+        states=(Signal("s", "m", (0.3, -0.1), shape=(2,), nominal=1.0), Signal("d", "m", 0.05, nominal=0.1)),
+        outputs=(Signal("place", "m"), Signal("gauge", "m")),
+    )
+    sensors, noise = ["place", "gauge"], {"place": "0.2 m", "gauge": "0.1 m"}
+    process, uncertainty = {"s": "0.1 m", "d": "0.05 m"}, {"s": "0.2 m", "d": "0.1 m"}
+    one = Filter(ekf.make(paired, sensors, noise, process, uncertainty, covariance=["d", "s[2]"], sample_time=H), H)
+    scalars = {
+        **SETTING,
+        "process": {"x": "0.1 m", "v": "0.1 m/s", "d": "0.05 m/s2"},
+        "uncertainty": {"x": "0.2 m", "v": "0.2 m/s", "d": "0.1 m/s2"},
+    }
+    other = Filter(ekf.make(**scalars, covariance=["d", "v"]), H)
+    _, seen = truth(np.random.default_rng(2), 10)
+    for y in seen:
+        row = one(place_measured=y[0], gauge_measured=y[1])
+        wanted = other(x_measured=y[0], gauge_measured=y[1])
+        for name, same in (("s[1]", "x"), ("s[2]", "v"), ("d", "d"), ("std_s[2]", "std_v"), ("covariance[1,2]",) * 2):
+            # Other nominal values, in which the matrices count.
+            assert row[name] == pytest.approx(wanted[same], rel=1e-10, abs=1e-13), name
+    one.component.close()
+    other.component.close()
+
+
+CRANKED = """\
+campaign: cranked
+description: a filter on a clock in crank angle while the engine speeds up, and one on its own time
+clock: {crank: {step: 6 deg, stop: 40 rev, speed: engine}}
+seed: 3
+parts:
+  engine: {use: source, unit: rpm, ramp: {at: 0.2 s, until: 1 s, from: 1500 rpm, to: 3000 rpm}}
+  torque: {use: source, unit: N.m, step: {at: 0.3 s, from: 0 N.m, to: -3 N.m}}
+  plant: {use: fmus.plants.driveline, wires: {T_eng: torque}}
+  encoder: {use: sensor, of: plant.y, noise: {std: 0.5 rpm}}
+  each:
+    use: observers.ekf
+    with: &filter
+      plant: fmus.plants.driveline
+      sensors: [y]
+      noise: {y: 0.5 rpm}
+      process: 1 %
+      uncertainty: 50 %
+      start: {theta_e: 2 mrad}
+    wires: &wires {T_eng: torque, y_measured: encoder}
+  timed: {use: observers.ekf, every: 2 ms, with: *filter, wires: *wires}
+metrics:
+  error_each: {rmse: [plant.theta_e, each.theta_e], after: 0.2 s, unit: mrad}
+  error_timed: {rmse: [plant.theta_e, timed.theta_e], after: 0.2 s, unit: mrad}
+  nis_each: {nis: {innovations: [each.innovation_y], variance: ["each.innovation_covariance[1,1]"]}}
+accept:
+  - error_each < 2 mrad
+  - error_timed < 2 mrad
+  - nis_each.within > 90 %
+"""
+
+
+def test_filters_run_on_a_crank_clock_and_on_a_time_of_their_own(tmp_path):
+    # 2 mrad is what they start wrong by.
+    file = tmp_path / "cranked.yaml"
+    file.write_text(CRANKED)
+    execute(read_campaign(file), tmp_path / "run", 1, lambda ended: None)
+    criteria = json.loads((tmp_path / "run" / "acceptance.json").read_text())
+    assert len(criteria) == 3 and all(one["passed"] for one in criteria), criteria
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_filters_fmu_passes_the_strict_validation(name, fmi):
+    model = FILTERS[name].make(**SETTING, **UNCERTAIN)
+    assert validate_fmu(str(cached_fmu(model, fmi))) == []
+
+
 def test_what_is_not_seen_is_told_by_a_deviation_that_grows_as_it_must():
     # Only the speed is measured: the place is as uncertain as all that came of the speed's errors, and never less.
     model = ekf.make(
@@ -316,6 +402,28 @@ def test_two_perfect_sensors_of_one_thing_end_the_run_and_are_named(name):
     with pytest.raises(StepError, match=wanted):
         estimator(one_measured=0.1, other_measured=0.2)
     estimator.component.close()
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_measurement_that_is_no_number_ends_the_run_and_is_named(name):
+    estimator = Filter(FILTERS[name].make(**SETTING, **UNCERTAIN), H)
+    with pytest.raises(StepError, match=r"'gauge_measured' less what is expected of it is nan at t = 0\.1 s"):
+        estimator(x_measured=0.0, gauge_measured=np.nan)
+    estimator.component.close()
+
+
+def test_a_sigma_point_that_the_model_cannot_bring_along_ends_the_run():
+    # x' = x^2 from 2 reaches infinity at 0.5 s, from 2 + sqrt(3) at 0.27 s.
+    model = ukf.make(BLOW_UP, ["x"], 0.1, 0.0, 1.0, sample_time=0.3)
+    estimator = Filter(model, 0.3)
+    with pytest.raises(
+        StepError, match=r"the sigma point that is off by 1\.73205 in 'x' could not be brought to t = 0\.3 s"
+    ):
+        estimator(x_measured=2.0)
+    estimator.component.close()
+    followed = Filter(ekf.make(BLOW_UP, ["x"], 0.1, 0.0, 1.0, sample_time=0.3), 0.3)
+    assert np.isfinite(followed(x_measured=5.0)["x"])
+    followed.component.close()
 
 
 def test_what_is_measured_steps_before_the_filter():
