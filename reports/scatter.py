@@ -30,7 +30,9 @@ def scatter(ranking: Ranking, name: str) -> str:
             _panel(axis, measure, ranking)
         for axis in axes.flat[len(ranking.measures) :]:
             axis.set_axis_off()
-        drawing.supylabel(f"{ranking.metric}, median" + (f" [{ranking.unit}]" if ranking.unit != "1" else ""))
+        drawing.supylabel(
+            f"{ranking.metric}, median" + (f" [{ranking.unit}]" if ranking.unit != "1" else ""), fontsize=9.5
+        )
         return svg(drawing, name)
 
 

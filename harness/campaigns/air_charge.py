@@ -121,7 +121,7 @@ WLTC: tuple[float, ...] = (
 )  # fmt: skip
 # [I] Third gear of a small car, its tyres, its road load.
 RATIO, TYRE, MASS, ROLLING, DRAG = 4.5, 0.31, 1400.0, 0.011, 0.40  # 1, m, kg, 1, kg/m (half the density times c_d A)
-# Set A at the start values of `turbo_si`: N.m, rpm, opening. Area in proportion to air, so to power, as if it choked [I].
+# Set A at the start values of `turbo_si`: N.m, rpm, opening. Area goes with power, as if the throttle choked [I].
 AT_POINT = (92.2, 2000.0, 0.15)
 LEAST_OPENING = 0.06
 EXPERIMENTS = ("tip_in", "tip_out", "wastegate", "wltc")
