@@ -177,7 +177,7 @@ def _groups(order: Order, names: Sequence[str], place: Mapping[str, int], coupli
         signals = dict.fromkeys(f"{wire.source}.{wire.output}" for wire in cluster.torn)
         torn = tuple((place[f"{head}.{signal}"], place[signal]) for signal in signals)
         kind = (coupling.solve or "") if torn else "smaller steps"
-        yield Group(kind, names.index(with_head[0]), len(with_head), torn, cluster.torn)
+        yield Group(kind, names.index(with_head[0]), len(with_head), torn, cluster.cycle)
 
 
 def _steered(system: System, found: Findings) -> System:

@@ -37,10 +37,11 @@ class AlgebraicLoop(ValueError):
 
 class Cluster(NamedTuple):
     """Parts that are stepped together, in their order: an algebraic loop, closed by its `torn` wires, or plants that
-    take smaller steps together, which has none."""
+    take smaller steps together, which has none. `cycle` is one cycle of the loop."""
 
     parts: tuple[str, ...]
     torn: tuple[Wire, ...] = ()
+    cycle: tuple[Wire, ...] = ()
 
 
 class Order(NamedTuple):
@@ -85,7 +86,7 @@ def order_parts(
                 members = [part for part in parts if part in group]
                 torn = _torn(members, inside)
                 left = [wire for wire in inside if wire not in torn]
-                clusters.append(Cluster(_sorted(members, left), tuple(torn)))
+                clusters.append(Cluster(_sorted(members, left), tuple(torn), tuple(_cycle(inside))))
                 dropped = frozenset(torn)
             remaining = [wire for wire in remaining if wire not in dropped]
 

@@ -30,8 +30,8 @@ class Group:
 
     `kind` says what for: an algebraic loop is solved by `fixed-point` or `newton`, plants take `smaller steps`, a crank
     clock has the parts up to the plant `steered` exactly. `first` is the place in the order of the first of `count`
-    parts. `torn` are pairs of places on the bus, of what a loop's parts read and of what they make of it, `wires` the
-    torn wires.
+    parts. `torn` are pairs of places on the bus, of what a loop's parts read and of what they make of it, `wires` are
+    one cycle of the loop.
     """
 
     kind: str
