@@ -14,6 +14,7 @@ from benchmarks.long_run import STEPS as LONG
 from benchmarks.long_run import LongRun, long_run, measures_memory
 from benchmarks.loop import beside_fmpy
 from benchmarks.measure import Measure
+from benchmarks.selection import beside_dense_svd, on_networks
 from benchmarks.setup_time import beside_simulate_fmu
 from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
 
@@ -39,6 +40,7 @@ def sections(scale: int) -> dict[str, Callable[[], Taken]]:
         "parts": lambda: with_parts(rounds=rounds(40)),
         "signals": lambda: with_signals(rounds=rounds(40)),
         "steps": lambda: with_steps(growth.STEPS if scale == 1 else growth.STEPS[:-1], rounds(3)),
+        "selection": lambda: [*beside_dense_svd(rounds(10)), *on_networks()],
     }
     if measures_memory():
         known["long-run"] = lambda: long_run(LONG // scale)

@@ -127,10 +127,11 @@ EXPORT void selection_powers(
 }
 
 /* For each of `count` sets of `size` sensors the least rho at which its rows c A^k, k < rho - lag, span a unit vector;
- * found[count][n], 0 where they never do. powers[sensors][n][n], lags[sensors], members[count][size];
- * memory of n n + n uint64 and n size_t. */
-EXPORT void selection_indices(int bits, size_t n, const uint64_t *powers, const int64_t *lags, size_t count, size_t size,
-                              const int64_t *members, uint64_t *memory, size_t *first, int64_t *found)
+ * found[count][n], 0 where they never do. powers[sensors][steps][n] are the rows there are, lags[sensors],
+ * members[count][size]; memory of n n + n uint64 and n size_t. done[count] is 0 where more rows would tell more. */
+EXPORT void selection_indices(int bits, size_t n, size_t steps, const uint64_t *powers, const int64_t *lags, size_t count,
+                              size_t size, const int64_t *members, uint64_t *memory, size_t *first, int64_t *found,
+                              uint8_t *done)
 {
     const Field f = field_of(bits);
     memset(found, 0, count * n * sizeof *found);
@@ -140,17 +141,25 @@ EXPORT void selection_indices(int bits, size_t n, const uint64_t *powers, const 
         int64_t last_lag = 0;
         for (size_t m = 0; m < size; m++)
             last_lag = lags[members[m]] > last_lag ? lags[members[m]] : last_lag;
-        for (int64_t rho = 1; rho <= (int64_t)n + last_lag; rho++) {
+        done[i] = steps == n;
+        for (int64_t rho = 1; rho <= (int64_t)steps + last_lag; rho++) {
             int grew = 0;
             for (size_t m = 0; m < size && space.rank < n; m++) {
                 const int64_t power = rho - 1 - lags[members[m]];
-                if (power < 0 || power >= (int64_t)n) continue;
-                memcpy(row, powers + ((size_t)members[m] * n + (size_t)power) * n, n * sizeof *row);
+                if (power < 0) continue;
+                if (power >= (int64_t)steps) {
+                    if (steps < n) goto next;
+                    continue;
+                }
+                memcpy(row, powers + ((size_t)members[m] * steps + (size_t)power) * n, n * sizeof *row);
                 grew |= insert(f, &space, row);
             }
             /* Where no row of a step is new, no later one is: each is an old one times A. */
-            if (!grew && rho > last_lag) break;
-            if (note_units(&space, rho, found) == n) break;
+            if ((!grew && rho > last_lag) || note_units(&space, rho, found) == n) {
+                done[i] = 1;
+                break;
+            }
         }
+    next:;
     }
 }

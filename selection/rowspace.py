@@ -9,6 +9,7 @@ from ctypes import c_int, c_size_t, c_void_p
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,11 @@ Indices = NDArray[np.int64]
 Sets = Sequence[tuple[int, ...]]
 Told = Callable[[int], None]
 
-# Sets between two calls of `tell`.
+Flags = NDArray[np.bool_]
+
+# Sets between two calls of `tell`, and the powers of A that are made at first; twice as many where those do not do.
 _CHUNK = 2048
+_FIRST_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def _library() -> ctypes.CDLL:
     """The compiled C. Raises ConfigurationError: there is no compiler."""
     library = ctypes.CDLL(str(compile_shared(files("selection").joinpath("rowspace.c").read_text("utf-8"))))
     library.selection_powers.argtypes = (c_int, *(c_size_t,) * 3, *(c_void_p,) * 3)
-    library.selection_indices.argtypes = (c_int, c_size_t, *(c_void_p,) * 2, *(c_size_t,) * 2, *(c_void_p,) * 4)
+    library.selection_indices.argtypes = (c_int, *(c_size_t,) * 2, *(c_void_p,) * 2, *(c_size_t,) * 2, *(c_void_p,) * 5)
     library.selection_powers.restype = library.selection_indices.restype = None
     return library
 
@@ -74,42 +78,62 @@ def spanned_units(rows: Rows, sets: Sets, field: Field, tell: Told = lambda done
     Shape (sets, n); 0 where they never do. `sets` hold places of sensors; `tell` hears how many more sets are done.
     """
     n = len(rows.A)
-    powers = _powers(rows, field)
     lags = np.ascontiguousarray(rows.lags, dtype=np.int64)
     found = np.zeros((len(sets), n), dtype=np.int64)
-
-    def work(chunk: tuple[NDArray[np.int64], NDArray[np.int64]]) -> NDArray[np.int64]:
-        places, members = chunk
-        memory, first = np.zeros(n * n + n, dtype=np.uint64), np.zeros(n, dtype=np.uintp)
-        here = np.zeros((len(places), n), dtype=np.int64)
-        arrays = (members.ctypes.data, memory.ctypes.data, first.ctypes.data, here.ctypes.data)
-        _library().selection_indices(
-            field.bits, n, powers.ctypes.data, lags.ctypes.data, len(places), members.shape[1], *arrays
-        )
-        found[places] = here
-        return places
-
+    left, steps = np.arange(len(sets)), min(_FIRST_STEPS, n)
     with ThreadPoolExecutor(threads) as pool:
-        for places in pool.map(work, _chunks(sets)):
-            tell(len(places))
+        while len(left):
+            powers = _powers(rows, field, steps)
+
+            def work(chunk: Chunk, powers: Residues = powers) -> Flags:
+                here, done = _indices(powers, lags, chunk.members, field)
+                found[chunk.places] = here
+                return done
+
+            waiting = list(_chunks(sets, left))
+            unfinished = []
+            for chunk, done in zip(waiting, pool.map(work, waiting), strict=True):
+                unfinished.append(chunk.places[~done])
+                tell(int(done.sum()))
+            left, steps = np.sort(np.concatenate(unfinished)), min(2 * steps, n)
     return found
 
 
-def _powers(rows: Rows, field: Field) -> Residues:
-    """Rows c A^k of each sensor, k = 0 ... n - 1; shape (sensors, n, n)."""
+def _indices(powers: Residues, lags: Indices, members: Indices, field: Field) -> tuple[Indices, Flags]:
+    """The indices of sets of one size as far as the powers at hand tell, and whether they tell all."""
+    steps, n = powers.shape[1:]
+    memory, first = np.zeros(n * n + n, dtype=np.uint64), np.zeros(n, dtype=np.uintp)
+    found, done = np.zeros((len(members), n), dtype=np.int64), np.zeros(len(members), dtype=np.uint8)
+    arrays = (members.ctypes.data, memory.ctypes.data, first.ctypes.data, found.ctypes.data, done.ctypes.data)
+    _library().selection_indices(
+        field.bits, n, steps, powers.ctypes.data, lags.ctypes.data, len(members), members.shape[1], *arrays
+    )
+    return found, done.astype(bool)
+
+
+def _powers(rows: Rows, field: Field, steps: int) -> Residues:
+    """Rows c A^k of each sensor, k = 0 ... steps - 1; shape (sensors, steps, n)."""
     n, count = len(rows.A), len(rows.sensors)
     a, gradients = (np.ascontiguousarray(part, dtype=np.uint64) for part in (rows.A, rows.sensors))
-    found = np.zeros((count, n, n), dtype=np.uint64)
+    found = np.zeros((count, steps, n), dtype=np.uint64)
     arrays = (a.ctypes.data, gradients.ctypes.data, found.ctypes.data)
-    _library().selection_powers(field.bits, n, count, n, *arrays)
+    _library().selection_powers(field.bits, n, count, steps, *arrays)
     return found
 
 
-def _chunks(sets: Sets) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+class Chunk(NamedTuple):
     """Sets of one size: their places among all, and their members, shape (chunk, size)."""
-    sizes = np.array([len(members) for members in sets], dtype=np.int64)
+
+    places: Indices
+    members: Indices
+
+
+def _chunks(sets: Sets, among: Indices) -> Iterator[Chunk]:
+    """The sets at these places, in chunks."""
+    sizes = np.array([len(sets[place]) for place in among], dtype=np.int64)
     for size in np.unique(sizes):
-        (places,) = np.nonzero(sizes == size)
+        places = among[sizes == size]
         for begin in range(0, len(places), _CHUNK):
             chunk = places[begin : begin + _CHUNK]
-            yield chunk, np.array([sets[i] for i in chunk], dtype=np.int64).reshape(len(chunk), int(size))
+            members = np.array([sets[place] for place in chunk], dtype=np.int64).reshape(len(chunk), int(size))
+            yield Chunk(chunk, np.ascontiguousarray(members))

@@ -59,6 +59,18 @@ def test_a_chain_is_observable_from_its_head_only():
     assert [structurally_observable(A, np.eye(6, dtype=bool)[[k]]) for k in range(6)] == [True] + [False] * 5
 
 
+@pytest.mark.parametrize("states", [60, 100])
+def test_a_network_of_many_states_is_answered_at_once(states: int):
+    # The matching of scipy.sparse.csgraph did not end within ten minutes on the second.
+    rng = np.random.default_rng(states)
+    A = np.eye(states, dtype=bool) | np.roll(np.eye(states, dtype=bool), 1, axis=1)
+    A |= rng.random((states, states)) < 3 / states
+    C = np.eye(states, dtype=bool)[[0]]
+    assert structurally_observable(A, C) and lin_observable(A, C)
+    A[:, 7] = False
+    assert not structurally_observable(A, C) and not lin_observable(A, C)
+
+
 def test_without_a_sensor_nothing_is_observable():
     assert not structurally_observable(np.eye(3, dtype=bool), np.zeros((0, 3), dtype=bool))
 
