@@ -6,13 +6,15 @@ import csv
 import io
 import json
 import re
+import shlex
 import sys
+from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from engine_sensors import ESTIMATE, TABLE_1, paper_structure
+from engine_sensors import ESTIMATE, TABLE_1, WANTED, measured, paper_structure, places, sets_of
 
 from fmus.component import Signal
 from fmus.export import cached_fmu
@@ -22,6 +24,7 @@ from harness.cli import main
 from harness.selectiontext import sets_told
 from reports.selection import SelectionError, write_page
 from reports.setfigures import index_histogram, number_matrix
+from selection.observability import observe
 from selection.ranking import Limits, count_sets, sets_within
 
 ENGINE = ("select", "turbo_si", "--estimate", ",".join(ESTIMATE))
@@ -313,3 +316,40 @@ def test_progress_is_told_in_tenths_of_long_work_only(capsys):
             tell("long", done * 100, 10_000)
     lines = capsys.readouterr().out.splitlines()
     assert lines == [f"long: {tenth * 1000} of 10000 sets" for tenth in range(1, 11)]
+
+
+DOCUMENT = (Path(__file__).parent.parent / "docs" / "selection.md").read_text(encoding="utf-8")
+COMMANDS = [shlex.split(line)[1:] for line in re.findall(r"^crankbench .*$", DOCUMENT, re.MULTILINE)]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_the_commands_of_the_documentation_run(crankbench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = crankbench(*command)
+    assert (code, err) == (0, "") and out
+
+
+def rows_of(heading: str) -> list[list[str]]:
+    """The cells of the table in the documentation whose first line begins so."""
+    lines = DOCUMENT[DOCUMENT.index(heading) :].split("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_table_1_in_the_documentation_is_what_comes_out():
+    rows = rows_of("| sensors | published | numerical | structural | coupled | exact |")
+    assert [tuple(row[0].split()) for row in rows] == list(TABLE_1)
+    for names, row in zip(TABLE_1, rows, strict=True):
+        assert int(row[1]) == TABLE_1[names]
+        for cell, method in zip(row[2:], ("numerical", "structural", "coupled", "exact"), strict=True):
+            found = {int(observe(measured(t), WANTED, [places(names)], method).index[0]) for t in ("open", "choked")}
+            assert found == {int(cell)}
+
+
+def test_the_numbers_of_sets_in_the_documentation_are_what_comes_out():
+    rows = rows_of("| throttle | method | 1 sensor | 2 sensors | 3 sensors |")
+    assert len(rows) == 7
+    for throttle, method, *cells in rows:
+        for size, cell in enumerate(cells, start=1):
+            index = observe(measured(throttle), WANTED, sets_of(size), method).index
+            counted = Counter("never" if not value else str(value) for value in index.tolist())
+            assert counted == {name: int(count) for name, count in re.findall(r"(\w+): (\d+)", cell)}
