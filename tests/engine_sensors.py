@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from fmus.linearmodel import LinearModel
-from fmus.plants.turbo_si import MODEL, SENSORS, STATES
+from fmus.plants.turbo_si import MODEL, PARAMETER_SETS, SENSORS, STATES
 from fmus.sensing import TEMPERATURE_LAG
 from fmus.statespace import at, linearised, settle
 from selection.branch import Branch
@@ -74,9 +74,9 @@ def places(names: tuple[str, ...]) -> tuple[int, ...]:
 
 
 @cache
-def measured(throttle: str, richness: float = 1.0) -> Measured:
+def measured(throttle: str, richness: float = 1.0, parameter_set: str = "") -> Measured:
     """The plant with the paper's sensors, at rest with the throttle `open` or `choked`."""
-    system = LinearModel(MODEL)
+    system = LinearModel(MODEL, PARAMETER_SETS.get(parameter_set))
     u = at(system.inputs, {**{"open": OPEN, "choked": CHOKED}[throttle], "lambda": richness})
     x = settle(system, at(system.states, {}), u)
     space = linearised(system, x, u)
