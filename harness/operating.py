@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 from fmus.component import ConfigurationError, Problem, Signal, StepError
 from fmus.description import Validation, describe
-from fmus.linearfmu import Source, linear_fmu
+from fmus.linearfmu import linear_fmu
 from fmus.linearmodel import LinearModel
 from fmus.model import Model, ModelError
 from fmus.modelstructure import read_structure
+from fmus.rungs import Source
 from fmus.statespace import StateSpace, at, linearised, settle
 from fmus.steady import SteadyError
 from fmus.units import parse_unit

@@ -99,6 +99,7 @@ API int exchange_fmiInitialize(void *i, char controlled, double tolerance, Info 
 }
 API int exchange_fmiEventUpdate(void *i, char intermediate, Info *info) { THIS; (void)intermediate; event(m); inform(m, info); return OK; }
 API int exchange_fmiGetNominalContinuousStates(void *i, double *x, size_t n) { (void)i; for (size_t k = 0; k < n; k++) x[k] = 1.0; return OK; }
+API int exchange_fmiGetStateValueReferences(void *i, unsigned *references, size_t n) { (void)i; for (size_t k = 0; k < n; k++) references[k] = X + k; return OK; }
 API int exchange_fmiCompletedIntegratorStep(void *i, char *wants) {
     THIS; *wants = m->mode == STEP_EVENT && m->v[STEP_EVENTS] < 3;
     if (*wants) m->v[STEP_EVENTS]++;

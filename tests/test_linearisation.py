@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from deceiver import deceiver
+from exchange_fmu import exchange_fmu
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import BALL, FILTER, LAG, VAN_DER_POL
@@ -18,11 +19,14 @@ from third_party import OPENMODELICA, reference_fmu, third_party_fmu
 
 from fmus.component import ConfigurationError, Signal
 from fmus.differences import Range, differences
+from fmus.exchangefmu import ExchangeFmu
 from fmus.export import cached_fmu
-from fmus.linearfmu import ExchangeFmu, InitialFmu, Source, linear_fmu
+from fmus.initialfmu import InitialFmu
+from fmus.linearfmu import linear_fmu
 from fmus.linearmodel import LinearModel
 from fmus.model import Model, ModelError
 from fmus.plants import driveline, turbo_si
+from fmus.rungs import Source
 from fmus.statespace import AT_REST, StateSpace, at, imbalance, linearised, scales, settle
 from fmus.steady import SteadyError
 from harness.cli import main
@@ -53,7 +57,7 @@ def space_of(model: Model, **values: float) -> StateSpace:
 
 
 def near(found: np.ndarray, wanted: object, **tolerances: float) -> bool:
-    return found == pytest.approx(wanted, **tolerances)
+    return found == pytest.approx(np.asarray(wanted, dtype=float), **tolerances)
 
 
 def fmu_space(source: Source, settled: bool = False) -> StateSpace:
@@ -180,6 +184,30 @@ def test_differences_of_another_tools_fmu_are_its_equations():
     assert near(space.C, np.array([[-1.0, 0.0]]), abs=1e-10)
 
 
+@pytest.mark.parametrize("fmi", [1, 2])
+def test_model_exchange_of_either_version_names_its_states(tmp_path: Path, fmi: int):
+    # x' = u, r' = -sign; of five outputs two are the states, the others count and stay as they are.
+    space = fmu_space(Source(exchange_fmu(tmp_path, fmi), {}))
+    assert [s.name for s in space.states] == ["x", "r"]
+    assert space.A.tolist() == [[0.0, 0.0], [0.0, 0.0]] and near(space.B, [[1.0], [0.0]], abs=1e-12)
+    assert near(space.C, np.vstack([np.eye(2), np.zeros((3, 2))]), abs=1e-12)
+
+
+def test_states_that_are_an_array_are_its_scalars():
+    # Reference FMU: x' = A x + B u, y = C x + D u with matrices that start as identities.
+    space = fmu_space(Source(reference_fmu("StateSpace", 3), {}))
+    assert [s.name for s in space.states] == ["x[1]", "x[2]", "x[3]"]
+    for found in (space.A, space.B, space.C, space.D):
+        assert near(found, np.eye(3), abs=1e-10)
+
+
+def test_an_fmu_begins_where_its_initialisation_puts_it():
+    space = fmu_space(Source(third_party_fmu("MassSpringSystem.fmu", OPENMODELICA), {}))
+    assert len(space.states) == 4
+    assert space.x0.tolist() == [1.0, 0.0, 0.0, 1.0]
+    assert near(space.A, [[0, 0, -2, 1], [0, 0, 1, -2], [1, 0, 0, 0], [0, 1, 0, 0]], abs=1e-8)
+
+
 def test_derivatives_that_are_wrong_are_not_believed(monkeypatch: pytest.MonkeyPatch):
     source = Source(cached_fmu(driveline.MODEL), {})
     honest = fmu_space(source)
@@ -194,7 +222,7 @@ def test_derivatives_that_are_wrong_are_not_believed(monkeypatch: pytest.MonkeyP
 
 
 def test_cosimulation_alone_with_wrong_derivatives_is_refused_with_each_rung_and_its_reason(tmp_path: Path):
-    assert near(fmu_space(Source(deceiver(tmp_path, "NONE"), {})).A, -1.0, rel=1e-12)
+    assert near(fmu_space(Source(deceiver(tmp_path, "NONE"), {})).A, [[-1.0]], rel=1e-12)
     with pytest.raises(ConfigurationError) as refused:
         fmu_space(Source(deceiver(tmp_path, "DERIVES_WRONGLY"), {}))
     assert "directional: its directional derivative d y / d x is 2.02, by differences 2." in str(refused.value)
