@@ -14,7 +14,8 @@ import numpy as np
 from fmus.whole import write_whole
 from reports import standing
 from reports.folder import Case, Run, RunFolderError, read_run
-from reports.html import page, verdict
+from reports.html import verdict
+from reports.page import page_of
 
 # What of campaign.json says how a campaign was run; the rest are results, or follows from these.
 _SETTINGS = ("clock", "seeds", "parts", "experiments", "metrics", "accept", "versions", "platform", "commit", "fmus")
@@ -90,7 +91,7 @@ def compare(folders: Sequence[Path | str]) -> Comparison:
 def write_comparison(folders: Sequence[Path | str], path: Path | str) -> Path:
     """The path of the self-contained page written about the runs in several folders. Raises RunFolderError."""
     found = compare(folders)
-    content = page(
+    content = page_of(
         "comparison.html.jinja",
         found=found,
         verdicts=[verdict(run) for run in found.runs],

@@ -8,10 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from markupsafe import Markup
-
 from fmus.whole import write_whole
+from reports.page import page_of
 
 TEMPLATES = Path(__file__).parent
 KINDS = ("cs", "me")
@@ -28,18 +26,11 @@ def write_page(survey: Path, page: Path) -> Path:
     Raises SurveyError: the file holds no survey.
     """
     content = _read(survey)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
     rows = [_row(fmu, content["probes"]) for fmu in content["fmus"]]
-    text = environment.get_template("compatibility.html.jinja").render(
+    text = page_of(
+        "compatibility.html.jinja",
         content=content,
         rows=rows,
-        style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         runnable=sum(row["runnable"] for row in rows),
         clean=sum(row["runnable"] and not row["failed"] for row in rows),
         failures=Counter(name for row in rows for name in row["failed"]).most_common(),

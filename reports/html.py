@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
@@ -21,6 +20,7 @@ from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, pool, samples_of
 from reports.folder import Case, Run, RunFolderError, read_run
 from reports.interactive import interactive, points_a_trace
+from reports.page import page_of
 from reports.rankings import read_rankings
 from reports.scatter import scatter
 from reports.selection import METHODS, SelectionError, best, drawings, read_selection
@@ -43,20 +43,6 @@ def write_report(folder: Path | str) -> Path:
     return path
 
 
-def page(template: str, **content: Any) -> str:
-    """A page of the house's style from one of the templates."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters |= {"short": numbers.short, "with_unit": numbers.with_unit}
-    style = Markup((TEMPLATES / "report.css").read_text(encoding="utf-8"))
-    return environment.get_template(template).render(style=style, **content)
-
-
 def render(run: Run) -> str:
     """The page. Metrics and verdicts are the run's own; only medians and distributions over cases are made here."""
     titles, drawn = standing.observers(run), declared_figures(run)
@@ -65,7 +51,7 @@ def render(run: Run) -> str:
     comparable = [quantity for quantity in quantities if len(quantity.metrics) > 1]
     solver, starts = provenance.applied_starts(run)
     plots = [interactive(figure, points_a_trace(drawn)) if figure.panels else None for figure in drawn]
-    return page(
+    return page_of(
         "report.html.jinja",
         run=run,
         verdict=verdict(run),

@@ -20,6 +20,11 @@ def short(value: float, digits: int = 4) -> str:
     return f"{mantissa}e{int(exponent)}"
 
 
+def known(value: float | None) -> str:
+    """The number as `short` writes it; `-` for none."""
+    return "-" if value is None else short(float(value))
+
+
 def with_unit(value: float, unit: str, digits: int = 4) -> str:
     """The number and its unit; a pure number stands alone."""
     return short(value, digits) if unit in ("", "1") or math.isnan(value) else f"{short(value, digits)} {unit}"

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
 from fmus.whole import write_whole
-from reports.numbers import short
+from reports.page import page_of
 from reports.setfigures import index_histogram, number_matrix, structure_matrix
 
 TEMPLATES = Path(__file__).parent
@@ -35,18 +34,10 @@ def write_page(selection: Path, page: Path) -> Path:
     Raises SelectionError: the file holds no selection.
     """
     content = read_selection(selection)
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.filters["short"] = lambda value: "-" if value is None else short(float(value))
-    text = environment.get_template("selection.html.jinja").render(
+    text = page_of(
+        "selection.html.jinja",
         content=content,
         meaning=METHODS.get(content["method"], ""),
-        style=Markup((TEMPLATES / "report.css").read_text(encoding="utf-8")),
         best=best(content),
         hidden=any(row["hidden"] for row in content["sets"]),
         drawings={name: Markup(drawing) for name, drawing in drawings(content).items()},
