@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 import zipfile
 from pathlib import Path
 
@@ -29,25 +28,7 @@ from fmus.plants import driveline, turbo_si
 from fmus.rungs import Source
 from fmus.statespace import AT_REST, StateSpace, at, imbalance, linearised, scales, settle
 from fmus.steady import SteadyError
-from harness.cli import main
 from harness.operating import Operation, operate
-
-
-@pytest.fixture
-def crankbench(monkeypatch, capsys):
-    """Calls the command line in this process: (exit code, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["crankbench", *map(str, arguments)])
-        try:
-            main()
-            code = 0
-        except SystemExit as ended:
-            code = ended.code or 0
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return call
 
 
 def space_of(model: Model, **values: float) -> StateSpace:

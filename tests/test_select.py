@@ -20,7 +20,6 @@ from fmus.component import Signal
 from fmus.export import cached_fmu
 from fmus.model import Model
 from fmus.plants import turbo_si
-from harness.cli import main
 from harness.selectiontext import sets_told
 from reports.selection import SelectionError, write_page
 from reports.setfigures import index_histogram, number_matrix
@@ -37,23 +36,6 @@ APART = Model(
     inputs=(Signal("u"),),
     outputs=(Signal("both"),),
 )
-
-
-@pytest.fixture
-def crankbench(monkeypatch, capsys):
-    """Calls the command line in this process: (exit code, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["crankbench", *map(str, arguments)])
-        try:
-            main()
-            code = 0
-        except SystemExit as ended:
-            code = ended.code or 0
-        said = capsys.readouterr()
-        return code, said.out, said.err
-
-    return call
 
 
 @pytest.fixture
