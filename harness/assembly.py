@@ -11,10 +11,10 @@ from fmus.model import unknown
 from fmus.units import parse_unit
 from harness.arrays import off_bus
 from harness.clock import CrankGrid, Grid, Pace
-from harness.coupling import why_not
 from harness.findings import Findings
 from harness.held import HeldComponent
 from harness.order import AlgebraicLoop, Order, Wire, connected, copied_wires, held_wires, order_together
+from harness.reversal import why_not
 from harness.scenario import Coupling, Scenario
 from harness.system import Group, Slot, System
 

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from fmus.component import Component, Reversible, StepError, Vector
-from fmus.fmu import FmuComponent
+from fmus.component import StepError, Vector
 from fmus.units import parse_unit
 from harness.native import address
 from harness.order import cycle_text
-from harness.reversal import Raised, Rememberer, reversal_of
+from harness.reversal import Raised, reversal_of
 from harness.scenario import Coupling
 from harness.system import Group, System
 
@@ -49,16 +48,6 @@ class Unsolved(Exception):
     def __init__(self, place: int, missed: float) -> None:
         self.place, self.missed = place, missed
         super().__init__()
-
-
-def why_not(component: Component) -> str:
-    """Why a part cannot be taken back, to be asked before it is started; empty where it can."""
-    if isinstance(component, FmuComponent):
-        proof = component.proof()
-        return "" if proof.holds else proof.evidence
-    if isinstance(component, (Reversible, Rememberer)):
-        return ""
-    return f"{type(component).__name__} has no methods keep and restore"
 
 
 def scales(system: System) -> Vector:

@@ -50,6 +50,16 @@ class _PythonPast(ctypes.Structure):
     _fields_ = [("keep", _Call), ("restore", _Call), ("status", ctypes.c_int64)]
 
 
+def why_not(component: Component) -> str:
+    """Why a component cannot be taken back, empty where it can; to be asked before its first step."""
+    if isinstance(component, FmuComponent):
+        proof = component.proof()
+        return "" if proof.holds else proof.evidence
+    if isinstance(component, (Reversible, Rememberer)):
+        return ""
+    return f"{type(component).__name__} has no methods keep and restore"
+
+
 def reversal_of(component: Component, raises: Raised | None = None) -> WayBack:
     """How a component is taken back, to be asked after `start` and before the first step.
 
@@ -58,14 +68,11 @@ def reversal_of(component: Component, raises: Raised | None = None) -> WayBack:
     """
     if isinstance(component, Reversible):
         reversal = component.reversal()
-        if reversal is not None:
-            return WayBack(reversal)
-        reason = component.proof().evidence if isinstance(component, FmuComponent) else "it says it cannot be"
-        return WayBack(None, reason)
+        return WayBack(reversal, "" if reversal else why_not(component) or "it says it cannot be")
     if component.native() is None and isinstance(component, Rememberer):
         state = _python_past(component, raises)
         return WayBack(native_reversal("crankbench_python_keep", "crankbench_python_restore", state), held=state)
-    return WayBack(None, f"{type(component).__name__} has no methods keep and restore")
+    return WayBack(None, why_not(component) or "its steps are in C, and its methods keep and restore in Python")
 
 
 def _python_past(component: Rememberer, raises: Raised | None) -> _PythonPast:
