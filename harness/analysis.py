@@ -1,4 +1,7 @@
-"""The commands about a system at a point: `crankbench linearise` and `crankbench select`."""
+"""The commands about a system at a point: `crankbench linearise` and `crankbench select`.
+
+What they work with takes half a second to import, which no other command is to wait for.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +11,20 @@ import sys
 from collections.abc import Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmus.component import ConfigurationError
 from fmus.description import Validation
-from fmus.statespace import AT_REST, StateSpace, imbalance, scales, si_unit, unrest
 from fmus.whole import write_whole
 from harness.fmutext import table
-from harness.operating import Operation, operate
 from harness.runfolder import plain
-from harness.selecting import SHOWN, select
-from harness.selectiontext import csv_text, print_selected, sets_told
 from harness.surveying import keep
-from harness.wishes import Wishes
-from selection.observability import Method
+from selection.methods import Method
+
+if TYPE_CHECKING:
+    from fmus.statespace import StateSpace
 
 Target = Annotated[str, typer.Argument(metavar="MODEL|FMU", help="A plant's name, module or module:name, or an FMU.")]
 At = Annotated[
@@ -53,6 +54,8 @@ def linearise(
     as_json: Json = False,
 ) -> None:
     """Give A, B, C, D of a model or an FMU at an operating point, in SI units, and what gave them."""
+    from harness.operating import Operation, operate
+
     space = operate(Operation(target, point or (), parameter_set, settle, validation)).space
     if as_json:
         print(json.dumps(plain(space.to_json()), indent=1, ensure_ascii=False))
@@ -61,6 +64,8 @@ def linearise(
 
 
 def _lines(space: StateSpace) -> list[str]:
+    from fmus.statespace import AT_REST, imbalance, scales, si_unit, unrest
+
     n = len(space.states)
     columns = [*space.states, *space.inputs]
     rows = [*((f"der({s.name})", space.A[i], space.B[i]) for i, s in enumerate(space.states))]
@@ -114,6 +119,11 @@ def select_sensors(
     as_json: Json = False,
 ) -> None:
     """Rank sets of sensors by how directly they see the states to estimate."""
+    from harness.operating import Operation
+    from harness.selecting import SHOWN, select
+    from harness.selectiontext import csv_text, print_selected, sets_told
+    from harness.wishes import Wishes
+
     for path, suffix, option in ((out, ".csv", "--out"), (page, ".html", "--report")):
         if path is not None and path.suffix != suffix:
             raise ConfigurationError(f"{option} wants a file that ends in {suffix}, got {path}")

@@ -7,18 +7,16 @@ from typing import Any
 from fmus.component import ConfigurationError
 from harness.campaign import Campaign
 from harness.operating import Operation
+from harness.reportsection import ReportedSelection
 from harness.selecting import SHOWN, select
 from harness.wishes import Wishes
 
 
-def selection_content(campaign: Campaign) -> dict[str, Any] | None:
-    """What selection.json holds, as `crankbench select --json` has it; None where the campaign asks for none.
+def selection_content(asked: ReportedSelection, campaign: Campaign) -> dict[str, Any]:
+    """What selection.json holds of what a campaign's report asks for, as `crankbench select --json` has it.
 
     Raises ConfigurationError: names that are not known, nothing that sees the states; at the key of the campaign.
     """
-    asked = campaign.report.selection
-    if asked is None:
-        return None
     wishes = Wishes(
         estimate=asked.estimate,
         most=asked.max_sensors,

@@ -6,21 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from fmus.component import Signal
 from fmus.whereabouts import Whereabouts, doing
 from fmus.whole import write_whole
 from harness import workplace
 from harness.campaign import Campaign, Case
-from harness.campaignselection import selection_content
 from harness.clock import Grid
 from harness.crew import Crew
 from harness.criteria import Verdict, judge
 from harness.definitions import Definition, digest
 from harness.native import settle
 from harness.preflight import preflight, recorded_signals
-from harness.rankings import rankings_content
 from harness.record import COMPLETE, write_signals
 from harness.run import run
 from harness.runfolder import (
@@ -132,7 +130,7 @@ def _execute(
             worker.close()
         return list(signals)
 
-    selected = selection_content(campaign)
+    selected = _selected(campaign)
     units = preflight(campaign, look).units
     kept = [case for case in campaign.cases if finished == "kept" and _finished(folder, case)]
     _clear(folder, [case for case in campaign.cases if case not in kept])
@@ -153,8 +151,19 @@ def _execute(
     if selected is not None:
         write_json(folder / "selection.json", selected)
     if campaign.report.rankings:
+        from harness.rankings import rankings_content  # with what it imports, every worker would pay for it
+
         write_rankings(folder, rankings_content(campaign.report.rankings, cases, units))
     return Result(folder, {case.label: case.outcome for case in cases}, verdicts)
+
+
+def _selected(campaign: Campaign) -> dict[str, Any] | None:
+    """The selection of sensors that the report shows; None where it asks for none. Raises ConfigurationError."""
+    if campaign.report.selection is None:
+        return None
+    from harness.campaignselection import selection_content  # as above
+
+    return selection_content(campaign.report.selection, campaign)
 
 
 def survey(case: Case) -> tuple[list[Signal], Literal["unchanged", "changed"]]:

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from harness.places import KeyPath
 from harness.quantity import Measure, Quantity, Strict
-from selection.observability import Method
+from selection.methods import Method
 
 
 class ReportedObserver(Strict):

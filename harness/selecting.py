@@ -20,7 +20,8 @@ from harness.operating import Operation, operate
 from harness.runfolder import VERSIONED, commit
 from harness.wishes import MEASURES, Choice, Wishes, understand
 from selection.measures import Noise, Plant, plant
-from selection.observability import Measured, Method, Options, observe
+from selection.methods import Method
+from selection.observability import Measured, Options, observe
 from selection.ranking import Asked, Ranked, Told, as_json, evaluate, rank, sets_within
 from selection.structure import Structure, distances, structurally_observable
 

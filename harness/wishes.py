@@ -16,7 +16,7 @@ from fmus.sensing import TEMPERATURE_LAG
 from fmus.units import UnitError, parse_unit
 from harness.operating import Operating
 from harness.quantity import read_measure
-from selection.observability import Method
+from selection.methods import Method
 from selection.ranking import KEYS, MOST_SETS, Limits, count_sets
 
 MEASURES = ("gramian", "kalman")

@@ -27,7 +27,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ from fmus.linearmodel import LinearModel
 from fmus.statespace import StateSpace, scales
 from selection.branch import Branch
 from selection.exact import exact_indices
+from selection.methods import Method
 from selection.numerical import EPS, hidden_states, numerical_indices, scaled
 from selection.residues import generic_model
 from selection.rowspace import Field, Rows, spanned_units
@@ -44,8 +45,6 @@ from selection.structure import Structure, error_probability, free_rows
 Indices = NDArray[np.int64]
 Sets = Sequence[tuple[int, ...]]
 Told = Callable[[int], None]
-Method = Literal["structural", "coupled", "exact", "numerical"]
-METHODS: tuple[Method, ...] = ("structural", "coupled", "exact", "numerical")
 
 
 @dataclass(frozen=True)

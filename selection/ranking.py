@@ -10,7 +10,8 @@ from typing import Any
 
 from fmus.component import Vector
 from selection.measures import Error, Information, Plant, gramian_factors, information, kalman_error
-from selection.observability import Measured, Method, Options, Seen, observe
+from selection.methods import Method
+from selection.observability import Measured, Options, Seen, observe
 
 # More sets than this are not gone through: at a millisecond each that would be half an hour.
 MOST_SETS = 2_000_000

@@ -31,8 +31,9 @@ from fmus.plants.turbo_si import MODEL
 from fmus.sensing import with_sensors
 from fmus.statespace import StateSpace, at, linearised, scales, settle
 from selection.branch import Branch
+from selection.methods import METHODS
 from selection.numerical import numerical_indices, scaled
-from selection.observability import METHODS, Measured, Options, observe, subset_index
+from selection.observability import Measured, Options, observe, subset_index
 from selection.rowspace import Field, spanned_units
 from selection.structure import Structure, branch_structure, free_rows, structurally_observable
 

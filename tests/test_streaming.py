@@ -360,9 +360,9 @@ def descendants(pid: int) -> list[int]:
 @pytest.mark.parametrize(
     ("steps", "most_in_parent", "most_in_worker"),
     [
-        # A metric holds four columns of 8 MB each; Python and its packages take 165 MB, with those for figures 295. The
+        # A metric holds four columns of 8 MB each; Python and its packages take 140 MB, with those for figures 270. The
         # whole record would be 88 MB more.
-        (1_000_000, 380.0, 230.0),
+        (1_000_000, 350.0, 230.0),
         pytest.param(10_000_000, 500.0, 500.0, marks=pytest.mark.slow),
     ],
 )

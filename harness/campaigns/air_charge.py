@@ -18,7 +18,7 @@ from harness.campaigns.air_charge_truth import ENGINES, OFF
 from harness.operating import Operation
 from harness.selecting import select
 from harness.wishes import Wishes
-from selection.observability import METHODS
+from selection.methods import METHODS
 
 Set = tuple[str, ...]
 WANTED = ("p_im", "T_im", "p_em")
