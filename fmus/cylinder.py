@@ -13,7 +13,7 @@ import numpy as np
 def wiebe(phi: Any, start: Any, duration: Any, a: Any, m: Any) -> tuple[Any, Any]:
     """(x_b, dx_b/dphi [1/rad]): the burnt fraction x_b = 1 - exp(-a s^(m+1)), s = (phi - start)/duration, 0 before.
 
-    It is 1 - exp(-a) at the end of `duration` and goes on towards 1: all that can burn does. phi, start, duration [rad].
+    It is 1 - exp(-a) at the end of `duration` and goes on towards 1: all that can burn does. Angles in rad.
     Wiebe; Heywood, Internal Combustion Engine Fundamentals, 1988, Eq. 9.1.
     """
     s = np.maximum((phi - start) / duration, 0.0)

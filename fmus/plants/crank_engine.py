@@ -23,11 +23,12 @@ cylinder's, counted on; the firing order is 1-3-4-2. Three times a cycle somethi
 Fuel enters with no energy but its heating value: U stays, the gas cools. Fuel, burnt or not, is followed through
 residual gas: fuel_i of the mass m_i, burnt_i of that; air is m_i - fuel_i, of which each kg of fuel burnt takes AF_s.
 m_exh_i is the mass at EVO less the mass that stayed behind in the cycle before; over cycles nothing is lost. What flows
-back from the exhaust port is what left last. What flows back into the intake is replaced by air.
+back from the exhaust port is what left last. The fuel in what flows back into the intake is mixed with m_port of air
+and returns with it, at T_im.
 
-Parameters: [R] read in a source, [C] computed, [I] chosen. The default is a 2.2 L HCCI Diesel engine [geometry R, the
-paper's engine]; set `si` a 1.8 L spark-ignited one with direct injection; set `imbalanced` the first with injectors and
-ports that differ a little. The engine starts in the periodic state of the default set, inputs as they start [C].
+Parameters and signals are in `fmus.plants.crank_engine_signals`. The default is the paper's 2.2 L HCCI Diesel engine;
+set `si` a 1.8 L spark-ignited one with direct injection; set `imbalanced` the first with injectors and ports that differ
+a little. The engine starts in the periodic state of the default set at 1500 rpm and 8 bar [C].
 """
 
 from __future__ import annotations
@@ -36,169 +37,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmus.component import Signal
 from fmus.crank_mechanism import PistonMotion, crank_inertia, piston_motion
 from fmus.cylinder import hohenberg, valve_opening, wiebe
 from fmus.gas import Gas, Stream, between, isentropic_flow
 from fmus.model import Model, Values
+from fmus.plants.crank_engine_signals import (
+    CYLINDERS,
+    DISCRETE,
+    FIRING_ORDER,
+    INJECTION,
+    INPUTS,
+    OUTPUTS,
+    PARAMETER_SETS,
+    PARAMETERS,
+    STATES,
+)
 
-CYLINDERS = (1, 2, 3, 4)
-FIRING_ORDER = (1, 3, 4, 2)
 CYCLE = 4.0 * np.pi  # rad
 DEG = np.pi / 180.0
 RPM = 30.0 / np.pi
+TINY = 1e-12  # of a share of fuel: none
 # Firing top dead centre of each cylinder, theta in rad.
 FIRING = {cylinder: k * np.pi for k, cylinder in enumerate(FIRING_ORDER)}
-# What a cylinder waits for next: m.stage_i.
-INJECTION, OPENING, EXCHANGE = 0, 1, 2
-
-
-def _constant(name: str, unit: str, value: float, description: str, minimum: float = 0.0) -> Signal:
-    return Signal(name, unit, value, description, nominal=abs(value) or 1.0, minimum=minimum)
-
-
-def _angle(name: str, value: float, description: str, minimum: float, maximum: float) -> Signal:
-    return Signal(name, "deg", value, description, nominal=10.0, minimum=minimum, maximum=maximum)
-
-
-PARAMETERS = (
-    _constant("bore", "m", 0.087, "cylinder, bore [R]", 1e-3),
-    _constant("stroke", "m", 0.092, "cylinder, stroke [R]", 1e-3),
-    _constant("rod_ratio", "1", 0.31, "crank radius over length of the connecting rod [R]", 1e-3),
-    _constant("compression", "1", 18.0, "cylinder, compression ratio [R]", 1.5),
-    _constant("J_0", "kg.m2", 0.2, "crankshaft, flywheel and dynamometer, inertia [R]", 1e-9),
-    _constant("m_rec", "kg", 1.0, "reciprocating mass of each cylinder [R]"),
-    _constant("gamma", "1", 1.33, "gas, ratio of specific heats [I], between air's and hot burnt gas's", 1.01),
-    _constant("R", "J/kg/K", 287.2, "gas, constant [R], air's", 1.0),
-    _constant("q_lhv", "J/kg", 42.5e6, "fuel, lower heating value [R], Diesel"),
-    _constant("AF_s", "1", 14.5, "fuel, stoichiometric air-fuel ratio by mass [R], Diesel", 1.0),
-    _constant("p_im", "Pa", 1.3e5, "intake ports, pressure [I]", 1e3),
-    _constant("T_im", "K", 330.0, "intake ports, temperature [I]", 100.0),
-    _constant("p_em", "Pa", 1.4e5, "exhaust ports, pressure [I]", 1e3),
-    _constant("p_case", "Pa", 101300.0, "crankcase, pressure [I]"),
-    _constant("T_wall", "K", 450.0, "cylinder walls, temperature [I]", 100.0),
-    _constant("wall", "1", 1.0, "factor on Hohenberg's heat transfer [I]; 0 for walls that take no heat"),
-    _angle("inject", -60.0, "fuel enters [I], before combustion starts and after IVC", -179.0, 0.0),
-    _angle("burn_start", -5.0, "combustion starts [I]", -90.0, 90.0),
-    _angle("burn_duration", 20.0, "combustion, duration of Wiebe's function [I]", 1.0, 180.0),
-    _constant("wiebe_a", "1", 5.0, "combustion, efficiency parameter of Wiebe's function [I]"),
-    _constant("wiebe_m", "1", 2.0, "combustion, form factor of Wiebe's function [I]"),
-    _angle("EVO", 135.0, "exhaust valves open [I]", 60.0, 200.0),
-    _angle("EVC", 370.0, "exhaust valves shut [I]", 300.0, 420.0),
-    _angle("IVO", 355.0, "intake valves open [I]", 300.0, 420.0),
-    _angle("IVC", 580.0, "intake valves shut [I]", 500.0, 640.0),
-    _constant("A_int", "m2", 6e-4, "intake valves of a cylinder, effective area when open [I]"),
-    _constant("A_exh", "m2", 5e-4, "exhaust valves of a cylinder, effective area when open [I]"),
-    Signal("PI_lin", "1", 0.98, "valves, pressure ratio above which the flow is linear [I]", 0.1, 0.5, 0.9999),
-    _constant("fmep_0", "Pa", 1.70e5, "friction mean pressure [C], a 2.3 L engine's"),
-    _constant("fmep_1", "Pa/rpm", -24.3, "friction mean pressure per speed [C], a 2.3 L engine's", -np.inf),
-    _constant("fmep_2", "Pa/rpm2", 6.9e-3, "friction mean pressure per speed squared [C], a 2.3 L engine's", -np.inf),
-    _constant("dyno_p", "N.m.s/rad", 2.0, "dynamometer, torque per speed above what is demanded [I]"),
-    _constant("dyno_i", "N.m/rad", 5.0, "dynamometer, torque per angle ahead of what is demanded [I]"),
-    _constant("afr_most", "1", 1000.0, "air-fuel ratio shown where there is less fuel than that [I]", 1.0),
-    *(_constant(f"injector_{i}", "1", 0.0, f"cylinder {i}, relative error of its injector [I]", -1.0) for i in CYLINDERS),
-    *(
-        _constant(f"fill_{i}", "1", 0.0, f"cylinder {i}, relative error of its intake port's pressure [I]", -0.9)
-        for i in CYLINDERS
-    ),
-)
-PARAMETER_SETS = {
-    # 1.8 L as set A of turbo_si: 9.5 and fuel [R]; bore and stroke of a common engine of that size [R].
-    "si": {
-        "bore": 0.081, "stroke": 0.0864, "rod_ratio": 0.30, "compression": 9.5, "J_0": 0.15, "m_rec": 0.6,
-        "q_lhv": 44e6, "AF_s": 15.1, "p_im": 0.9e5, "T_im": 310.0, "p_em": 1.05e5,
-        "inject": -90.0, "burn_start": -20.0, "burn_duration": 50.0,
-        "EVO": 140.0, "EVC": 370.0, "IVO": 350.0, "IVC": 590.0, "A_int": 7e-4, "A_exh": 6e-4,
-    },
-    "imbalanced": {
-        "injector_1": 0.03, "injector_2": -0.04, "injector_3": 0.02, "injector_4": -0.01,
-        "fill_1": 0.005, "fill_2": 0.01, "fill_3": -0.01, "fill_4": -0.005,
-    },
-}  # fmt: skip
-
-# The periodic state of the default set at theta = 0, by cylinder.
-STARTS = {
-    "U": (1000.0, 200.0, 300.0, 20.0),
-    "m": (7e-4, 4e-4, 7e-4, 5e-5),
-    "fuel": (2e-5, 1e-5, 1e-6, 1e-6),
-    "burnt": (2e-6, 1e-5, 1e-6, 1e-6),
-    "work": (0.0, 0.0, 0.0, 0.0),
-    "gone": (0.0, 0.0, 0.0, 0.0),
-    "gone_heat": (0.0, 0.0, 0.0, 0.0),
-    "burn": (2e-5, 2e-5, 2e-5, 2e-5),
-    "share": (0.03, 0.03, 0.03, 0.03),
-    "m_open": (7e-4, 7e-4, 7e-4, 7e-4),
-    "T_port": (700.0, 700.0, 700.0, 700.0),
-    "imep": (8e5, 8e5, 8e5, 8e5),
-    "m_exh": (7e-4, 7e-4, 7e-4, 7e-4),
-}
-STATES = (
-    Signal("theta", "rad", 0.0, "crank angle from the first cylinder's firing top dead centre, counted on"),
-    Signal("omega_e", "rad/s", 157.0, "speed of the crankshaft", nominal=100.0),
-    Signal("hold", "N.m", 100.0, "dynamometer, torque at the speed demanded", nominal=100.0),
-    *(
-        Signal(f"{name}_{i}", unit, STARTS[name][i - 1], f"cylinder {i}, {what}", nominal, minimum, local=local)
-        for name, unit, what, nominal, minimum, local in (
-            ("U", "J", "internal energy", 100.0, 0.0, False),
-            ("m", "kg", "mass of the gas", 1e-4, 0.0, False),
-            ("fuel", "kg", "fuel in the gas, burnt or not", 1e-5, 0.0, False),
-            ("burnt", "kg", "fuel in the gas that is burnt", 1e-5, 0.0, False),
-            ("work", "J", "work on the piston since the cycle began", 100.0, -np.inf, True),
-            ("gone", "kg", "mass that left by the exhaust valves since they opened", 1e-4, -np.inf, True),
-            ("gone_heat", "J", "enthalpy that left with it", 100.0, -np.inf, True),
-        )
-        for i in CYLINDERS
-    ),
-)
-DISCRETE = (
-    *(
-        Signal(f"{name}_{i}", unit, STARTS[name][i - 1], f"cylinder {i}, {what}", nominal, local=local)
-        for name, unit, what, nominal, local in (
-            ("imep", "Pa", "indicated mean effective pressure of its last complete cycle", 1e5, False),
-            ("m_exh", "kg", "mass it exhausts in the cycle", 1e-4, False),
-            ("burn", "kg", "fuel that burns in the cycle", 1e-5, False),
-            ("share", "1", "fuel in the mass it last exhausted", 0.01, True),
-            ("m_open", "kg", "mass when its exhaust valves last opened", 1e-4, True),
-            ("T_port", "K", "temperature of what it last exhausted", 1000.0, True),
-        )
-        for i in CYLINDERS
-    ),
-    *(
-        Signal(f"stage_{i}", "1", start, f"cylinder {i} waits for 0 fuel, 1 EVO, 2 its end", 1.0, 0, 2, "integer",
-               local=True)
-        for i, start in zip(CYLINDERS, (OPENING, EXCHANGE, INJECTION, INJECTION), strict=True)
-    ),
-    *(
-        Signal(f"cycle_{i}", "1", start, f"cylinder {i}, cycles completed", kind="integer", local=True)
-        for i, start in zip(CYLINDERS, (0, -1, 0, 0), strict=True)
-    ),
-)  # fmt: skip
-INPUTS = (
-    *(Signal(f"m_f_{i}", "kg", 2e-5, f"cylinder {i}, fuel commanded for a cycle", 1e-5, 0.0) for i in CYLINDERS),
-    *(Signal(f"offset_{i}", "1", 0.0, f"cylinder {i}, relative injection error", 0.1, -1.0) for i in CYLINDERS),
-    Signal("speed_demand", "rad/s", 50.0 * np.pi, "speed that the dynamometer holds", nominal=100.0, minimum=0.0),
-)
-OUTPUTS = (
-    *(Signal(f"afr_{i}", "1", 30.0, f"cylinder {i}, air-fuel ratio of what it last exhausted") for i in CYLINDERS),
-    Signal("T_exh", "K", 700.0, "temperature of what the cylinders last exhausted, mixed", nominal=1000.0),
-    *(
-        Signal(f"{name}_{i}", unit, 0.0, f"cylinder {i}, {what}", nominal)
-        for name, unit, what, nominal in (
-            ("p", "Pa", "pressure", 1e5),
-            ("T", "K", "temperature of the gas", 1000.0),
-            ("W_int", "kg/s", "flow in from the intake", 0.01),
-            ("W_exh", "kg/s", "flow out to the exhaust", 0.01),
-            ("H_int", "W", "enthalpy in with the flow from the intake", 1e4),
-            ("H_exh", "W", "enthalpy out with the flow to the exhaust", 1e4),
-            ("Q_burn", "W", "heat released", 1e5),
-            ("Q_wall", "W", "heat to the walls", 1e4),
-        )
-        for i in CYLINDERS
-    ),
-    Signal("torque_gas", "N.m", 0.0, "torque of the gas on the crank", nominal=100.0),
-    Signal("torque_friction", "N.m", 0.0, "torque of friction, against the motion", nominal=10.0),
-    Signal("torque_load", "N.m", 0.0, "torque of the dynamometer, against the motion", nominal=100.0),
-)
 
 
 class Cylinder(NamedTuple):
@@ -244,9 +104,9 @@ def _cylinder(i: int, x: Values, m: Values, p: Values) -> Cylinder:
     T = pressure * V / (x[f"m_{i}"] * p.R)
 
     speed = np.abs(x.omega_e)
-    burnt_slope = wiebe(
-        phi - CYCLE * m[f"cycle_{i}"], p.burn_start * DEG, p.burn_duration * DEG, p.wiebe_a, p.wiebe_m
-    )[1]
+    burnt_slope = wiebe(phi - CYCLE * m[f"cycle_{i}"], p.burn_start * DEG, p.burn_duration * DEG, p.wiebe_a, p.wiebe_m)[
+        1
+    ]
     walls = np.pi * p.bore * V / piston_area(p) + 2.0 * piston_area(p)
     Q_wall = p.wall * hohenberg(pressure, T, V, p.stroke * speed / np.pi) * walls * (T - p.T_wall)
 
@@ -273,12 +133,18 @@ def _equations(t: Any, x: Values, m: Values, u: Values, p: Values) -> tuple[dict
         dx[f"U_{i}"] = Q_burn - one.Q_wall - power + H_int + H_exh
         dx[f"m_{i}"] = one.intake.W + one.exhaust.W
         share = m[f"share_{i}"]
-        # What comes back from the exhaust has burnt as far as its air went.
-        behind = {"fuel": share, "burnt": np.minimum(share, (1.0 - share) / p.AF_s)}
-        for what, grows in (("fuel", 0.0), ("burnt", one.burning)):
+        # Of what comes back so much is burnt as its air went for.
+        burnt = np.minimum(1.0, (1.0 - share) / np.maximum(p.AF_s * share, TINY))
+        ports = {"fuel": (x[f"port_{i}"] / p.m_port, share)}
+        ports["burnt"] = (burnt * ports["fuel"][0], burnt * ports["fuel"][1])
+        carried = {}
+        for what, behind in ports.items():
             inside = x[f"{what}_{i}"] / x[f"m_{i}"]
-            taken = np.minimum(one.intake.W, 0.0) * inside
-            dx[f"{what}_{i}"] = grows + taken + one.exhaust.W * np.where(one.exhaust.W < 0.0, inside, behind[what])
+            carried[what] = [
+                flow.W * np.where(flow.W < 0.0, inside, outside) for flow, outside in zip(flows, behind, strict=True)
+            ]
+        dx[f"fuel_{i}"], dx[f"burnt_{i}"] = sum(carried["fuel"]), one.burning + sum(carried["burnt"])
+        dx[f"port_{i}"] = -carried["fuel"][0]
         dx |= {f"work_{i}": power, f"gone_{i}": -one.exhaust.W, f"gone_heat_{i}": -H_exh}
         y |= {f"p_{i}": one.p, f"T_{i}": one.T, f"Q_burn_{i}": Q_burn, f"Q_wall_{i}": one.Q_wall}
         y |= {f"W_int_{i}": one.intake.W, f"W_exh_{i}": -one.exhaust.W, f"H_int_{i}": H_int, f"H_exh_{i}": -H_exh}
