@@ -16,10 +16,12 @@ def wiebe(phi: Any, start: Any, duration: Any, a: Any, m: Any) -> tuple[Any, Any
     It is 1 - exp(-a) at the end of `duration` and goes on towards 1: all that can burn does. Angles in rad.
     Wiebe; Heywood, Internal Combustion Engine Fundamentals, 1988, Eq. 9.1.
     """
-    s = np.maximum((phi - start) / duration, 0.0)
-    power = s**m
-    left = np.exp(-a * power * s)
-    return 1.0 - left, a * (m + 1.0) * power * left / duration
+    since = (phi - start) / duration
+    burns = since > 0.0
+    # Of a power of zero the slope by its exponent is not finite.
+    s = np.where(burns, since, 1.0)
+    left = np.exp(-a * s ** (m + 1.0))
+    return np.where(burns, 1.0 - left, 0.0), np.where(burns, a * (m + 1.0) * s**m * left / duration, 0.0)
 
 
 def hohenberg(p: Any, T: Any, V: Any, speed: Any) -> Any:

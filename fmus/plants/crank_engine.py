@@ -27,8 +27,8 @@ back from the exhaust port is what left last. The fuel in what flows back into t
 and returns with it, at T_im.
 
 Parameters and signals are in `fmus.plants.crank_engine_signals`. The default is the paper's 2.2 L HCCI Diesel engine;
-set `si` a 1.8 L spark-ignited one with direct injection; set `imbalanced` the first with injectors and ports that differ
-a little. The engine starts in the periodic state of the default set at 1500 rpm and 8 bar [C].
+set `si` a 1.8 L spark-ignited one with direct injection; set `imbalanced` the first with injectors and ports that
+differ a little. The engine starts in the periodic state of the default set at 1500 rpm and 8 bar [C].
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What the engine of `crank_engine` declares: parameters with their sources, states with their start values, its signals.
+"""What `crank_engine` declares: parameters with their sources, states with their start values, inputs and outputs.
 
 Parameters: [R] read in a source, [C] computed, [I] chosen. Geometry, inertia and masses of the default are those of the
-test bench's engine; fuels are Heywood's, Internal Combustion Engine Fundamentals, 1988, Table D.4, and in set `si` those
-of the TCSISimTestbed, whose 1.8 L engine it takes after.
+paper's engine; fuels are Heywood's, Internal Combustion Engine Fundamentals, 1988, Table D.4, and in set `si` those of
+the TCSISimTestbed, whose 1.8 L engine it takes after.
 """
 
 from __future__ import annotations
