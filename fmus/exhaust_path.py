@@ -5,8 +5,8 @@ About a uniform AFR everything between the cylinders and the sensor is linear in
     afr_turbine - AFR = sum over k of c_k exp(i k theta/2),  c_k = sum over i of a_i G_i(k)
 
 since the factor (1 + AFR)^2 from fuel fraction to AFR is the same at both ends. With four equal exhausts G_i(k) is
-G(k/2) exp(-i k theta_i/2), theta_i the firing TDC. `path_response` has G in closed form, with the means over the cycle of
-the mass in the manifold and of the flow out of it; `path_harmonics` has G_i with both as they pulsate.
+G(k/2) exp(-i k theta_i/2), theta_i the firing TDC. `path_response` has G in closed form, with the means over the cycle
+of the mass in the manifold and of the flow out of it; `path_harmonics` has G_i with both as they pulsate.
 Gains are complex, of exp(i k theta/2): a negative phase is late.
 """
 
@@ -52,8 +52,8 @@ def path_gain_and_phase(order: Any, at: Breathing, p: Any) -> tuple[Any, Any]:
 
         G = (1/4) F(order) 1/(1 + s m/W) 1/(1 + s m_c/W)^CELLS,  s = i order omega,  W = 4 m_exh omega/(4 pi)
 
-    F as `profile_response`, m the mass in the manifold at the pressure at which the turbine passes W, m_c that in a cell
-    of the pipe; `p` has the plant's parameters. It takes symbols, too.
+    F as `profile_response`, m the mass in the manifold at the pressure at which the turbine passes W, m_c that in a
+    cell of the pipe; `p` has the plant's parameters. It takes symbols, too.
     """
     W = 4.0 * at.m_exh * at.omega / CYCLE
     gain, phase = profile_response(order, p)
@@ -79,11 +79,12 @@ def sensor_response(order: Any, omega: Any, p: Any) -> Any:
 def path_harmonics(
     count: int, omega: float, m_exh: NDArray[np.float64], T_exh: float, p: Any
 ) -> NDArray[np.complex128]:
-    """G_i(k) of cylinder i in row i - 1 and of harmonic k = 0 ... `count` of the cycle in column k, shape (4, count + 1).
+    """G_i(k) of cylinder i in row i - 1 and harmonic k = 0 ... `count` of the cycle in column k, shape (4, count + 1).
 
     omega [rad/s], m_exh (4,) [kg] which may differ, T_exh [K], `p` with the plant's parameters. The manifold's mass is
-    brought to its periodic course by shooting. Then z is linear with coefficients periodic in theta: with the transition
-    matrix P over a cycle and b_i what cylinder i alone leaves at its end, (1 - P) x_i = b_i is where its response begins.
+    brought to its periodic course by shooting. Then z is linear with coefficients periodic in theta: with the
+    transition matrix P over a cycle and b_i what cylinder i alone leaves at its end, (1 - P) x_i = b_i is where its
+    response begins. Raises RuntimeError: no periodic course was found.
     """
     inflow = _inflow(omega, m_exh, p)
     around = _Cycle(inflow, T_exh, p, CYCLE / STEPS / omega)

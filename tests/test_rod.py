@@ -30,7 +30,7 @@ def swinging(alpha, derivative=0):
 
 def shaken(course: Course, xi: float = P.xi, order: float = P.order, amplitude: float = 1.0):
     """Speeds at the cylinders and at the rod's end, each step exactly `course.step` of crank angle."""
-    component = load_fmu(cached_fmu(MODEL), starts={"xi": xi, "order": order})
+    component = load_fmu(cached_fmu(MODEL), starts={"xi": xi, "order": order, "omega_rod": course.omega})
     step, t, given, found = np.radians(course.step), 0.0, [], []
     try:
         component.start(0.0, np.array([SPEED]))
@@ -67,7 +67,9 @@ def test_without_a_derivative_of_the_input_it_is_base_excitation_in_crank_angle(
     ours = solve_ivp(model, (0.0, 0.4), [150.0, 2.0, 0.0], method="DOP853", rtol=1e-11, atol=1e-11, dense_output=True)
     alphas = ours.y[2]
     slope = 2.0 + 2.0 * P.xi * P.order * (swinging(0.0) - 150.0)
-    other = solve_ivp(excited, (0.0, alphas[-1]), [150.0, slope], method="DOP853", rtol=1e-11, atol=1e-11, t_eval=alphas)
+    other = solve_ivp(
+        excited, (0.0, alphas[-1]), [150.0, slope], method="DOP853", rtol=1e-11, atol=1e-11, t_eval=alphas
+    )
     # 60 rad, and the integrators' tolerance of 1e-9 of 150 rad/s.
     np.testing.assert_allclose(ours.y[0], other.y[0], rtol=0.0, atol=1e-6)
 
@@ -92,7 +94,7 @@ def test_its_samples_are_those_of_its_exact_discrete_form_at_any_swing_of_the_sp
     w, damping = P.order, 2.0 * P.xi * P.order
     A, B = np.array([[-damping, 1.0], [-(w**2), 0.0]]), np.array([[damping], [w**2]])
     Ad, Bd, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), np.radians(course.step), method="zoh")
-    x, expected = np.array([SPEED, 0.0]), []
+    x, expected = np.array([course.omega, 0.0]), []
     for value in u:
         x = Ad @ x + Bd[:, 0] * value
         expected.append(x[0])
@@ -106,11 +108,14 @@ def test_each_harmonic_passes_by_the_closed_transfer_function(N):
     u, y = shaken(course)
     n, step = course.per_cycle, np.radians(course.step)
     for order in SWING:
-        # Held from the middle of a step, which the row at its end shows: half a step, and a hold of one.
-        hold = np.sinc(0.5 * order * step / np.pi) * np.exp(-0.5j * order * step)
+        # u is held over each step, whose end the row shows; with it come the aliases at 360 m per revolution.
+        heard = order + 360.0 * np.arange(-2000, 2001)
+        hold = np.sinc(0.5 * heard * step / np.pi) * np.exp(0.5j * heard * step)
+        expected = (rod_response(heard, P) * hold).sum()
         ratio = coefficient(y, n, order) / coefficient(u, n, order)
-        # Row k is at the end of the step over which u_k was held. Aliases: 720 deg/1 deg less the order, 1e-5.
-        assert ratio == pytest.approx(rod_response(order, P) * hold * np.exp(1j * order * step), rel=2e-3 / 8.0), order
+        # RK4 in steps of 1 deg and less; twenty cycles from the start.
+        assert ratio == pytest.approx(expected, rel=1e-5), order
+        assert expected == pytest.approx(rod_response(order, P) * np.exp(0.5j * order * step), rel=2e-3)
 
 
 def test_at_a_steady_speed_it_shows_that_speed_exactly():
@@ -145,7 +150,9 @@ def test_by_the_printed_equation_the_difference_dies_out_whatever_the_cylinders_
     begin = [x2(0.0) + 3.0, x2(0.0, 1) - 1.0]
     run = solve_ivp(printed, (0.0, alphas[-1]), begin, method="DOP853", rtol=1e-11, atol=1e-11, t_eval=alphas)
     decay, free = P.xi * w, w * np.sqrt(1.0 - P.xi**2)
-    expected = np.exp(-decay * alphas) * (3.0 * np.cos(free * alphas) + (3.0 * decay - 1.0) / free * np.sin(free * alphas))
+    expected = np.exp(-decay * alphas) * (
+        3.0 * np.cos(free * alphas) + (3.0 * decay - 1.0) / free * np.sin(free * alphas)
+    )
     # The same free decay in all three, to the integrator's tolerance; 1e-4 of it is left after a cycle.
     np.testing.assert_allclose(run.y[0] - [x2(a) for a in alphas], expected, rtol=0.0, atol=1e-7)
     assert abs(expected[-1]) < 1e-3
@@ -153,18 +160,20 @@ def test_by_the_printed_equation_the_difference_dies_out_whatever_the_cylinders_
 
 @pytest.mark.parametrize("order", [0.5, 2.0, 4.0, 6.0])
 def test_the_printed_matrix_gives_back_the_measured_coefficients_as_those_of_the_cylinders(order):
-    # w_0 = x2'' + 2 xi w x2' + w^2 x2 drives x1; what the matrix makes of the w_0 that x1 shows are x1's own.
     w, damping = P.order, 2.0 * P.xi * P.order
-    measured = np.array([0.7, -0.4])  # real and imaginary part of x1's coefficient
-    # x1'' + 2 xi w x1' + w^2 x1 = w_0 at i k: multiplication by (w^2 - k^2) + i k 2 xi w, on real and imaginary part.
-    shown = np.array([[w**2 - order**2, -order * damping], [order * damping, w**2 - order**2]]) @ measured
-    printed = np.linalg.inv([[w**2 - order**2, order * damping], [-order * damping, w**2 - order**2]])
-    # The printed matrix has c_k of exp(-i k a), or rows of the transpose: conjugated it is the inverse.
-    found = np.array([1.0, -1.0]) * (printed @ (np.array([1.0, -1.0]) * shown))
-    np.testing.assert_allclose(found, measured, rtol=1e-13)
-    # The rod in the plant hands on something else.
-    x1 = complex(*measured)
-    assert abs(x1 / rod_response(order, P) - x1) > 0.005 * abs(x1)
+    alpha = np.linspace(0.0, 4.0 * np.pi, 720, endpoint=False)
+    cosine, sine = np.cos(order * alpha), np.sin(order * alpha)
+    measured = np.array([0.7, -0.4])
+    x1 = measured[0] * cosine + measured[1] * sine
+    slope = order * (measured[1] * cosine - measured[0] * sine)
+    # The w_0 by which the paper's second equation makes this x1, in coefficients of cosine and sine.
+    w_0 = -(order**2) * x1 + damping * slope + w**2 * x1
+    shown = 2.0 * np.array([np.mean(w_0 * cosine), np.mean(w_0 * sine)])
+    printed = np.array([[w**2 - order**2, order * damping], [-order * damping, w**2 - order**2]])
+    # "The coefficients of x_2": x1's own.
+    np.testing.assert_allclose(np.linalg.solve(printed, shown), measured, rtol=1e-12)
+    # Behind the rod of the plant the cylinders' are others.
+    assert abs(1.0 / rod_response(order, P) - 1.0) > 0.005
 
 
 def test_the_coefficients_at_the_cylinders_come_from_the_excitation_over_w_squared_and_the_damping():

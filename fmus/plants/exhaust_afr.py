@@ -1,10 +1,11 @@
-"""From four cylinders to the air-fuel sensor: exhaust pulses, a mixing manifold, a turbine, a pipe, the sensor's two lags.
+"""From four cylinders to the air-fuel sensor: exhaust pulses, a mixing manifold, a turbine, a pipe, two lags.
 
 Source: Chauvin, Petit, Rouchon, Corde, Periodic Input Observer Design: Application for Imbalance Diagnosis, SAE 2006,
 "Air Fuel Ratio Sensor Inversion". It has the sensor as two first-order lags and says of the way to it that the
 cylinders' flows mix in the manifold and pass the turbocharger; the equations of that way are chosen here.
 
-    exhaust of cylinder i   W_i = m_exh_i omega_e f(theta - theta_i),  theta_i firing TDC: 0, 180, 360, 540 deg of 1-3-4-2
+    exhaust of cylinder i   W_i = m_exh_i omega_e f(theta - theta_i),  theta_i firing TDC: 0, 180, 360, 540 deg for
+                            cylinders 1, 3, 4, 2
                             f = (1 - cos(2 pi (phi - EVO)/L))/L over L = EVC - EVO, 0 elsewhere; its integral is 1
     composition             z = 1/(1 + AFR), mass of fuel over that of the gas: what adds up where gases mix
     manifold                m' = sum W_i - W_turb,  m_fuel' = sum W_i z_i - W_turb z,  z = m_fuel/m
@@ -104,8 +105,8 @@ def air_fuel_ratio(z: Any, most: Any) -> Any:
 def exhaust_profile(theta: Any, p: Any) -> Any:
     """Share of its exhaust [1/rad] that leaves a cylinder per crank angle, theta [rad] after its firing TDC.
 
-    f = (1 - cos(2 pi phi/L))/L for 0 <= phi < L, 0 elsewhere in the cycle; phi = theta - EVO, L = EVC - EVO. `p` has EVO
-    and EVC [rad].
+    f = (1 - cos(2 pi phi/L))/L for 0 <= phi < L, 0 elsewhere in the cycle; phi = theta - EVO, L = EVC - EVO. `p` has
+    EVO and EVC [rad].
     """
     width = p.EVC - p.EVO
     phi = theta - p.EVO

@@ -25,8 +25,8 @@ input, with the twist's share q of the speed's change:
 
     x_1' = q + 2 xi w (x_2 - x_1),  q' = w^2 (x_2 - x_1)
 
-A rod has its frequency in time, and w in crank angle falls with the speed, as 1/N: 125 Hz are of order 5 at 1500 rpm, 2.5
-at 3000 rpm. The paper has one w; here it is the parameter `order`, to be given with the speed of a case.
+A rod has its frequency in time, and w in crank angle falls with the speed, as 1/N: 125 Hz are of order 5 at 1500 rpm,
+2.5 at 3000 rpm. The paper has one w; here it is the parameter `order`, to be given with the speed of a case.
 xi is [R], w [I].
 """
 
@@ -42,7 +42,9 @@ SPEED = 157.07963267948966  # rad/s, 1500 rpm
 INPUTS = (Signal("omega_e", "rad/s", SPEED, "speed next to the cylinders", nominal=100.0),)
 STATES = (
     Signal("omega_rod", "rad/s", SPEED, "speed at the end of the rod", nominal=100.0),
-    Signal("pull", "rad/s", 0.0, "change of that speed per crank angle by the twist of the rod", nominal=1.0, local=True),
+    Signal(
+        "pull", "rad/s", 0.0, "change of that speed per crank angle by the twist of the rod", nominal=1.0, local=True
+    ),
 )
 PARAMETERS = (
     Signal("xi", "1", 0.15, "damping of the rod [R]", nominal=0.1, minimum=0.0),
