@@ -1,6 +1,6 @@
 """A turbocharger's compressor and turbine: flow, torque and the temperature of the gas that leaves.
 
-Flows are in kg/s from side 1 to side 2 and negative the other way. Both take floats and symbols alike.
+Flows are in kg/s from side 1 to side 2 and negative the other way. All take floats and symbols alike.
 
 Equations [R]: TCSISimTestbed (Ng, Frisk, Krysander, Eriksson, IEEE Control Systems Magazine 40(2), 2020). What holds
 outside of their range is chosen here, [I] below. Work done on or by the gas is torque times speed at every speed.
@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmus.gas import Gas, signed_root
+
+_NEWTON_STEPS = 10
 
 
 class Wheel(NamedTuple):
@@ -62,14 +64,35 @@ def turbine(p_1: Any, T_1: Any, p_2: Any, T_2: Any, omega: Any, gas: Gas, p: Any
     `p` has k_1, k_2, D_t, B_0, eta_t_max, eta_t_min, PI_lin, omega_min. [I] The root is linear from PI_lin to 1; a flow
     backwards follows the same equation and does no work; below omega_min [rad/s] the torque is that of omega_min.
     """
-    forward = p_1 >= p_2
-    p_u, T_u = np.where(forward, p_1, p_2), np.where(forward, T_1, T_2)
-    PI = np.where(forward, p_2, p_1) / p_u
-    flow = p.k_1 * 1e-3 * p_u / np.sqrt(T_u) * signed_root(1.0 - PI**p.k_2, 1.0 - p.PI_lin**p.k_2)
-    W = np.where(forward, flow, -flow)
+    W = turbine_flow(p_1, T_1, p_2, T_2, p)
     drop = gas.cp * T_1 * (1.0 - np.minimum(p_2 / p_1, 1.0) ** ((gas.gamma - 1.0) / gas.gamma))
     # Of a gas slower than 1 m/s the efficiency is at its floor in any case.
     BSR = 0.5 * p.D_t * omega / np.sqrt(np.maximum(2.0 * drop, 1.0))
     eta = np.maximum(p.eta_t_max * (1.0 - ((BSR - p.B_0) / p.B_0) ** 2), p.eta_t_min)
     torque_per_flow = eta * drop / np.maximum(omega, p.omega_min)
     return Wheel(W, T_1 - torque_per_flow * omega / gas.cp, np.maximum(W, 0.0) * torque_per_flow)
+
+
+def turbine_flow(p_1: Any, T_1: Any, p_2: Any, T_2: Any, p: Any) -> Any:
+    """The turbine's flow W [kg/s] alone, as in `turbine`; `p` has k_1, k_2, PI_lin."""
+    forward = p_1 >= p_2
+    p_u, T_u = np.where(forward, p_1, p_2), np.where(forward, T_1, T_2)
+    PI = np.where(forward, p_2, p_1) / p_u
+    flow = p.k_1 * 1e-3 * p_u / np.sqrt(T_u) * signed_root(1.0 - PI**p.k_2, 1.0 - p.PI_lin**p.k_2)
+    return np.where(forward, flow, -flow)
+
+
+def turbine_pressure(W: Any, T_1: Any, p_2: Any, p: Any) -> Any:
+    """The pressure p_1 [Pa] at which `turbine_flow` is W [kg/s], not below zero: its inverse, for 1 <= k_2 <= 2.
+
+    With q = W sqrt(T_1)/(1e-3 k_1) and s = 1 - (p_2/p_1)^k_2, q = p_1 sqrt(s), and where the root is a line,
+    q = p_1 s/sqrt(s_lin). The first, squared, is convex in p_1 and begun above its root, the second concave and begun
+    below: Newton's method goes to both without overshooting, in ten steps to rounding.
+    """
+    k, width = p.k_2, 1.0 - p.PI_lin**p.k_2
+    q = W * np.sqrt(T_1) / (1e-3 * p.k_1 * p_2)
+    root, line = 0.5 + np.sqrt(0.25 + q**2), 1.0
+    for _ in range(_NEWTON_STEPS):
+        root = root - (root**2 - root ** (2.0 - k) - q**2) / (2.0 * root - (2.0 - k) * root ** (1.0 - k))
+        line = line - (line - line ** (1.0 - k) - np.sqrt(width) * q) / (1.0 - (1.0 - k) * line ** (-k))
+    return p_2 * np.where(q < np.sqrt(width) / p.PI_lin, line, root)

@@ -11,7 +11,7 @@ import pytest
 from fmus.gas import Gas
 from fmus.plants.turbo_si import PARAMETERS
 from fmus.tracing import Symbol
-from fmus.turbocharger import compressor, turbine
+from fmus.turbocharger import compressor, turbine, turbine_flow, turbine_pressure
 
 P = SimpleNamespace(**{signal.name: float(signal.start) for signal in PARAMETERS})
 AIR, EXHAUST = Gas(P.gamma_a, P.R_a), Gas(P.gamma_e, P.R_e)
@@ -146,3 +146,19 @@ def test_no_derivative_of_a_wheel_is_infinite(wheel, ratio, omega):
     outputs = ca.vertcat(*(value.sx for value in found))
     jacobian = ca.Function("jacobian", [x], [ca.jacobian(outputs, x)])
     assert np.isfinite(jacobian([1e5, 400.0, ratio * 1e5, 500.0, omega]).full()).all()
+
+
+@pytest.mark.parametrize("k_2", [1.0, 1.4, 1.45, 2.0])
+def test_the_pressure_before_the_turbine_is_the_one_at_which_it_passes_the_flow(k_2):
+    p = SimpleNamespace(**{**vars(P), "k_2": k_2})
+    for W in (0.0, 1e-6, 1e-3, 5e-3, 0.03, 0.12, 0.4):
+        p_1 = float(turbine_pressure(W, 900.0, 1.05e5, p))
+        # From the tail pipe's pressure to 7 bar, by Newton's method to rounding.
+        assert float(turbine_flow(p_1, 900.0, 1.05e5, 900.0, p)) == pytest.approx(W, rel=1e-11, abs=1e-15)
+        assert p_1 >= 1.05e5
+
+
+def test_the_turbines_flow_alone_is_that_of_the_turbine():
+    for p_1 in (0.9e5, 1e5, 1.005e5, 1.5e5, 3e5):
+        alone = turbine_flow(p_1, 1000.0, 1e5, 900.0, P)
+        assert float(alone) == float(turbine(p_1, 1000.0, 1e5, 900.0, OMEGA, EXHAUST, P).W)
