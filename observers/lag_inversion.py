@@ -21,9 +21,9 @@ from observers.periodic import (
     variance_gain,
 )
 from observers.periodic_design import design, meet
-from observers.periodic_input import LARGEST
+from observers.periodic_input import LARGEST, MARGINAL
 from observers.periodic_model import Frame, Stage, chain_model
-from observers.periodic_schedule import Certificate, GainLaw, certify, schedule
+from observers.periodic_schedule import GainLaw, certify, refined, schedule
 from observers.periodic_settings import (
     DESIGN,
     READINGS,
@@ -77,8 +77,8 @@ def make(
     `time_constants` from w to the sensor: `25 ms`, or `{input: tau_mixing, range: "[20, 80] ms"}` for one that is known
     while it runs. In omega tau the lag is dx/dalpha = (w - x)/(omega tau), so that gains over omega tau serve both.
     `gains` is one of `published: {per}`, `full: {decay, weight, per}`, L~ = -decay/tau and alpha_k^2 = weight/(k^2 + 1)
-    (Eqs. 6 to 8), and `design: {multiplier, variance_gain, prefer}`. The multipliers of the cascade are those of all its
-    stages together.
+    (Eqs. 6 to 8), and `design: {multiplier, variance_gain, prefer}`. The multipliers of the cascade are those of all
+    its stages together.
 
     Raises ConfigurationError with all that is wrong, as observers.periodic_input.make.
     """
@@ -90,7 +90,7 @@ def make(
     kind, raw = read_gains(gains, KINDS, found)
     found.end()
     assert waits is not None, "complaints were none"
-    law = _law(kind, raw, lags, setting, found)
+    law, demanded = _law(kind, raw, lags, setting, found)
     found.end()
     assert law is not None, "complaints were none"
     stages: list[Stage] = []
@@ -101,26 +101,29 @@ def make(
         gain, step_at = law(lag), _step(lag, setting)
         low, high = setting.low * lag.low, setting.high * lag.high
         scheduled = schedule(gain, low, high, setting.nodes)
+        if demanded is not None:
+            scheduled = refined(system, scheduled, gain, step_at, demanded)
         certificate = certify(system, scheduled, low, high, setting.nodes, step_at)
         require_stable(certificate, name, _told(lag), allow_unstable, found)
         worst = max(worst, certificate.worst[0])
         stages.append(Stage(system, scheduled, 1, _speed(lag, place), None if begin is None else (begin, begin)))
     found.end()
     varying = [(place, lag) for place, lag in enumerate(lags, start=1) if lag.varies]
+    known = [(place, lag) for place, lag in enumerate(lags, start=1) if not lag.varies]
     frame = Frame(
         "lag_inversion",
         f"Periodic-input observers of {len(lags)} lags in a row",
         measured=(Signal("y", unit, 0.0, "what the last lag shows"),),
         reconstructed=(Signal("w", unit, 0.0, "what drives the first lag"),),
         low=setting.low, high=setting.high, multiplier=worst,
-        variance_gain=_noise(lags, setting, [lambda s, j=j: stages[j].schedule.gain(s) for j in range(len(stages))]),
+        variance_gain=_noise(lags, setting, [stage.schedule.gain for stage in stages]),
         delay=waits,
         inputs=tuple(
             Signal(lag.input, "s", float(np.sqrt(lag.low * lag.high)), f"time constant of lag {place}", lag.high)
             for place, lag in varying
         ),
         parameters=(
-            *(Signal(f"tau_{j}", "s", g.low, f"time constant of lag {j}") for j, g in enumerate(lags, 1) if not g.varies),
+            *(Signal(f"tau_{j}", "s", g.low, f"time constant of lag {j}") for j, g in known),
             *(Signal(f"tau_{j}_low", "s", g.low, "least it was made for; less counts as that") for j, g in varying),
             *(Signal(f"tau_{j}_high", "s", g.high, "most it was made for; more counts as that") for j, g in varying),
         ),
@@ -148,7 +151,9 @@ def read_lags(raw: Any, setting: Setting, found: Complaints) -> list[Lag]:
         if not 0.0 < lag.low <= lag.high < np.inf:
             found.add(f"time_constants: lag {place} wants times above 0 s, got {lag.low:g} s to {lag.high:g} s")
         if lag.varies and setting.sampling.per == "s":
-            found.add(f"time_constants: lag {place}, an input, wants a step in crank angle, got {setting.sampling.step:g} s")
+            found.add(
+                f"time_constants: lag {place}, an input, wants a step in crank angle, got {setting.sampling.step:g} s"
+            )
     inputs = [lag.input for lag in lags if lag.varies]
     for name in inputs:
         if not name.isidentifier() or name in ("y", "angle", "omega") or inputs.count(name) > 1:
@@ -172,7 +177,8 @@ def _read_lag(item: Any, place: int, found: Complaints) -> Lag:
 
 def _law(
     kind: str, raw: Mapping[str, Any], lags: Sequence[Lag], setting: Setting, found: Complaints
-) -> Callable[[Lag], GainLaw] | None:
+) -> tuple[Callable[[Lag], GainLaw] | None, float | None]:
+    """K over omega tau by lag, None where something is wrong; and the multiplier of a design."""
     if kind == "design":
         demand = read_demand(raw, found)
         system = unit_lag(setting)
@@ -182,18 +188,22 @@ def _law(
             return lambda sigma: design(system, sigma, step(sigma), multiplier)
 
         if found.messages:
-            return None
+            return None, None
         multiplier = found.collect(
             meet, demand, lambda mu: _noise(lags, setting, [designed(lag, mu) for lag in reversed(lags)])
         )
-        return None if multiplier is None else lambda lag: designed(lag, multiplier)
+        if multiplier is None:
+            return None, None
+        return lambda lag: designed(lag, multiplier), multiplier
     decay = WEIGHT if kind == "published" else read_number(raw.get("decay", DECAY), "gains: full: decay", found, 0.0)
-    weight = WEIGHT if kind == "published" else read_number(raw.get("weight", WEIGHT), "gains: full: weight", found, 0.0)
+    weight = (
+        WEIGHT if kind == "published" else read_number(raw.get("weight", WEIGHT), "gains: full: weight", found, 0.0)
+    )
     word = read_choice(raw.get("per", "sample"), f"gains: {kind}: per", ("sample", "rad", "s"), found)
     if word == "s" and any(lag.varies for lag in lags):
         found.add(f"gains: {kind}: per wants sample or rad where a time constant is an input, got s")
     if found.messages:
-        return None
+        return None, None
     reading = next(one for one in READINGS if one == word)
     one = np.eye(1)
     weights = [weight / (k * k + 1) for k in range(setting.harmonics + 1)]
@@ -210,7 +220,7 @@ def _law(
 
         return gain
 
-    return full
+    return full, None
 
 
 def _step(lag: Lag, setting: Setting) -> Callable[[float], float]:
@@ -237,7 +247,7 @@ def _told(lag: Lag) -> Callable[[float], str]:
 
 
 def _noise(lags: Sequence[Lag], setting: Setting, laws: Sequence[Callable[[float], Array]]) -> float:
-    """Largest variance gain of the cascade over the nodes and the ends of the time constants; `laws` next to y first."""
+    """Largest variance gain of the cascade over nodes and ends of time constants; the first of `laws` is next to y."""
     system, worst = unit_lag(setting), 0.0
     row = input_row(system)
     for omega in setting.speeds:
@@ -247,7 +257,7 @@ def _noise(lags: Sequence[Lag], setting: Setting, laws: Sequence[Callable[[float
             for tau, law in zip(taus, laws, strict=True):
                 K = law(omega * tau)
                 maps.append((sampled_error(system, K, omega * tau, step), K, row))
-            if not max(np.abs(np.linalg.eigvals(moved)).max() for moved, _, _ in maps) < 1.0:
+            if not max(np.abs(np.linalg.eigvals(moved)).max() for moved, _, _ in maps) < MARGINAL:
                 return LARGEST
             worst = max(worst, float(variance_gain(maps).max()))
     return worst

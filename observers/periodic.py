@@ -2,8 +2,8 @@
 
 Chauvin, Petit, Rouchon, Corde: Periodic input observer design, application for imbalance diagnosis, SAE 2006.
 
-The system x' = A x + A0 w, y = C x (Eq. 1) is driven by w = sum_{|k| <= h} c_k e^{i k w0 alpha}, which repeats every T0 of
-crank angle, w0 = 2 pi/T0. In crank angle [rad], at the speed omega [rad/s],
+The system x' = A x + A0 w, y = C x (Eq. 1) is driven by w = sum_{|k| <= h} c_k e^{i k w0 alpha}, which repeats every
+T0 of crank angle, w0 = 2 pi/T0. In crank angle [rad], at the speed omega [rad/s],
 
     dx/dalpha = (A/omega) x + (A0/omega) w                      where A counts per second,
     dx/dalpha = A x + A0 w                                      where A counts per radian.
@@ -30,6 +30,8 @@ ComplexArray = NDArray[np.complex128]
 # Relative size under which a singular value of a frequency response counts as none: far above rounding, and far below
 # what could be told from noise.
 UNSEEN = 1e-9
+# Below which share of a sum's diagonal its last doubling counts as nothing, and how often it is doubled at most.
+ENDED, DOUBLINGS = 1e-15, 40
 
 
 class PeriodicSystem(NamedTuple):
@@ -64,8 +66,8 @@ class PeriodicSystem(NamedTuple):
 class Gains(NamedTuple):
     """L (n, p) and L_k of k = 0 ... h, `harmonics` (h + 1, m, p), complex; L_-k is the conjugate of L_k.
 
-    Of the continuous observer (Eq. 4) they count per radian: L in [x]/[y]/rad, L_k in [w]/[y]/rad. Of a sampled one they
-    count per sample: [x]/[y] and [w]/[y].
+    Of the continuous observer (Eq. 4) they count per radian: L in [x]/[y]/rad, L_k in [w]/[y]/rad. Of a sampled one
+    they count per sample: [x]/[y] and [w]/[y].
     """
 
     state: Array
@@ -105,7 +107,11 @@ def responses(system: PeriodicSystem, omega: float) -> ComplexArray:
 def input_row(system: PeriodicSystem) -> Array:
     """H (m, n + m (2h + 1)) of w = H z."""
     n, m = system.A0.shape
-    blocks = [np.zeros((m, n)), np.eye(m), *(b for _ in range(system.harmonics) for b in (2 * np.eye(m), np.zeros((m, m))))]
+    blocks = [
+        np.zeros((m, n)),
+        np.eye(m),
+        *(b for _ in range(system.harmonics) for b in (2 * np.eye(m), np.zeros((m, m)))),
+    ]
     return np.hstack(blocks)
 
 
@@ -155,8 +161,8 @@ def full_measurement_gains(
     """L = (A - L~) C^-1 (Eq. 6), L_k = alpha_k^2 A0' P C^-1 (Eq. 7) with P L~ + L~' P = -I (Eq. 8).
 
     L (n, p) and L_k (h + 1, m, p) in the independent variable in which A and A0 are given: L in 1/unit of it, L_k in
-    [w]/[y] per unit of it. `alpha_squared` (h + 1,). The number of L_k is the same in every unit, because A0 counts 1/unit
-    and P unit: which unit was meant changes the observer.
+    [w]/[y] per unit of it. `alpha_squared` (h + 1,). The number of L_k is the same in every unit, because A0 counts
+    1/unit and P unit: which unit was meant changes the observer.
 
     Raises ValueError: C is not square, or L~ is not stable.
     """
@@ -252,10 +258,9 @@ def variance_gain(maps: Sequence[tuple[Array, Array, Array]]) -> Array:
     """Variance of w in that of white noise on y, stationary, (m,): stages in a row, the one that sees y first.
 
     `maps` holds of each stage the error's map (N, N), the gain (N, p) and H (m, N). The first stage sees y + v; each
-    other one sees the w of the stage before, and so e_j+ = map_j e_j + K_j H_{j-1} e_{j-1}+. Discrete Lyapunov equation.
+    other one sees the w of the stage before, and so e_j+ = map_j e_j + K_j H_{j-1} e_{j-1}+. Discrete Lyapunov
+    equation.
     """
-    from scipy.linalg import solve_discrete_lyapunov
-
     whole, driven = np.zeros((0, 0)), np.zeros((0, maps[0][1].shape[1]))
     before: Array | None = None
     for moved, gain, row in maps:
@@ -266,8 +271,27 @@ def variance_gain(maps: Sequence[tuple[Array, Array, Array]]) -> Array:
         driven = np.vstack([driven, pushed])
         before = np.hstack([np.zeros((len(row), n)), row])
     assert before is not None, "asked of one stage or more"
-    covariance = solve_discrete_lyapunov(whole, driven @ driven.T)
+    covariance = summed(whole, driven @ driven.T)
     return np.diag(before @ covariance @ before.T).copy()
+
+
+def summed(A: Array, Q: Array) -> Array:
+    """S = sum_j A^j Q A'^j, which solves S = A S A' + Q, for A with eigenvalues within the unit circle and Q >= 0.
+
+    Summed by doubling, S <- S + A S A', A <- A^2: sums of what is positive semidefinite, in which no unit of a state
+    is lost beside that of another.
+
+    Raises ValueError: the sum has no end.
+    """
+    for _ in range(DOUBLINGS):
+        added = A @ Q @ A.T
+        Q = Q + added
+        A = A @ A
+        if not np.isfinite(Q).all():
+            break
+        if (np.diag(added) <= ENDED * np.diag(Q)).all():
+            return Q
+    raise ValueError(f"the sum has no end in 2^{DOUBLINGS} terms: A wants eigenvalues within the unit circle")
 
 
 def unseen_harmonics(system: PeriodicSystem, omega: float) -> list[tuple[int, str]]:

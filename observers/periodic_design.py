@@ -6,8 +6,9 @@ rho^2/conj(lambda). The periodic modes lie on the unit circle and end at rho^2, 
 rho^2 = mu^(step/T0) their multiplier over a period is mu. Nothing else is as cheap for the sum of squares of what the
 noise leaves, each sample weighted by rho^-2j.
 
-A plant's own mode that decays more slowly than that is hurried along: it ends at rho^2/|lambda|. So that this is the
-demanded modulus for the slowest of them, rho^2 is then taken that much smaller, and the periodic modes are faster.
+A plant's own mode that decays more slowly than that is hurried along first, by the same equation on such modes alone,
+the slowest demand on rho being that none ends beyond mu. The periodic modes are then moved for the plant so hurried; the
+two gains add up. Where a plant has no such mode its own gain is nought: x is then X d and what decays by itself.
 
 Without process noise the Riccati equation is a linear one for its inverse Y on the modes that move:
 Y = Lambda^-T (Y + C' R^-1 C) Lambda^-1, and K = (Y + C' R^-1 C)^-1 C' R^-1.
@@ -20,10 +21,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, schur, solve_discrete_lyapunov
+from scipy.linalg import schur, solve_sylvester
 
 from fmus.model import ModelError
-from observers.periodic import PeriodicSystem, in_step, transition
+from observers.periodic import PeriodicSystem, in_step, summed, transition
 
 Array = NDArray[np.float64]
 
@@ -31,10 +32,12 @@ Array = NDArray[np.float64]
 SLOWEST, FASTEST = 0.999, 1e-6
 # How near to the demand, relatively, the multiplier is sought.
 SOUGHT = 1e-4
+# How little beyond the demand, relatively and a step, a mode of the plant still counts as fast enough.
+AS_SLOW = 1e-9
 
 
 class Demand(NamedTuple):
-    """What gains are to do: the largest `multiplier` over a period, and the `variance_gain` from y to w, or one of them.
+    """What gains are to do: the largest `multiplier` over a period, the `variance_gain` from y to w, or both.
 
     Where both are given and both can be kept, `prefer` says which is made the best of: `noise` takes the multiplier
     as it is demanded, `convergence` the fastest one that keeps the variance gain.
@@ -45,9 +48,7 @@ class Demand(NamedTuple):
     prefer: Literal["noise", "convergence"] = "noise"
 
 
-def design(
-    system: PeriodicSystem, omega: float, step: float, multiplier: float, noise: Array | None = None
-) -> Array:
+def design(system: PeriodicSystem, omega: float, step: float, multiplier: float, noise: Array | None = None) -> Array:
     """K (n + m (2h + 1), p) per sample, with which the largest multiplier over a period is `multiplier`.
 
     `noise` (p,) are the standard deviations of the outputs' noise, equal ones where None: they matter with two outputs
@@ -55,36 +56,51 @@ def design(
 
     Raises ModelError: a harmonic is not seen, or a mode of the plant that is too slow is not.
     """
-    n, m = system.A0.shape
+    n = len(system.A)
     modulus = multiplier ** (step / system.period)
-    alone = expm(system.rates(omega)[0] * step)
-    sizes = np.abs(np.linalg.eigvals(alone))
-    slow = sizes > modulus
-    aim = modulus * min([1.0, *sizes[slow].tolist()])
-    V, moved = _slow_part(alone, modulus)
-    together = in_step(system, omega)
-    turned = transition(system, omega, step)[n:, n:]
-    # In (x - X d, d) the plant's own modes and the periodic ones do not act on each other.
-    q = V.shape[1]
-    Lambda = np.zeros((q + m * (2 * system.harmonics + 1),) * 2)
-    Lambda[:q, :q], Lambda[q:, q:] = moved, turned
     deviation = np.ones(len(system.C)) if noise is None else noise
-    seen = np.hstack([system.C @ V, system.C @ together]) / deviation[:, None]
-    back = np.linalg.inv(Lambda / np.sqrt(aim))
+    scaled = system.C / deviation[:, None]
+    Phi = transition(system, omega, step)
+    alone, turned = Phi[:n, :n], Phi[n:, n:]
+    V, slow = _slow_part(alone, modulus * (1.0 + AS_SLOW))
+    together = in_step(system, omega)
+    hurried = np.zeros((n, len(scaled)))
+    if V.shape[1]:
+        least = float(np.abs(np.linalg.eigvals(slow)).min())
+        hurried = V @ slow @ _moving(slow, scaled @ V, float(np.sqrt(modulus * least)), omega)
+        # x = X d goes with the periodic modes: of the plant as it now is, another X.
+        together = solve_sylvester(alone - hurried @ scaled, -turned, -Phi[:n, n:])
+    on_modes = _moving(turned, scaled @ together, float(np.sqrt(modulus)), omega)
+    quick = Phi.copy()
+    quick[:n, :n] -= hurried @ scaled
+    predictor = quick @ np.vstack([together @ on_modes, on_modes])
+    predictor[:n] += hurried
+    gain: Array = np.linalg.solve(Phi, predictor) / deviation
+    return gain
+
+
+def _moving(Lambda: Array, seen: Array, rho: float, omega: float) -> Array:
+    """K (q, p) that turns each mode lambda of z+ = Lambda z, y = `seen` z, into rho^2/conj(lambda); all are beyond rho.
+
+    Raises ModelError: y does not see one of them.
+    """
+    back = np.linalg.inv(Lambda / rho)
     information = seen.T @ seen
-    Y = solve_discrete_lyapunov(back.T, back.T @ information @ back)
-    whole = Y + information
+    whole = summed(back.T, information)
     if not np.linalg.cond(whole) < 1.0 / np.finfo(float).eps:
         raise ModelError(f"no gains: at {omega:.6g} rad/s a mode that has to be moved is not seen by y")
-    K = np.linalg.solve(whole, seen.T) / deviation
-    return np.vstack([V @ K[:q] + together @ K[q:], K[q:]])
+    K: Array = np.linalg.solve(whole, seen.T)
+    return K
 
 
 def _slow_part(alone: Array, modulus: float) -> tuple[Array, Array]:
-    """V (n, q) and T (q, q) of Phi V = V T, the modes of Phi beyond `modulus`, so scaled that they are a part of x."""
-    T, right, q = schur(alone, sort=lambda re, im=0.0: bool(np.hypot(re, im) > modulus))
-    V: Array = right[:, :q]
-    return V, T[:q, :q]
+    """V (n, q) and T (q, q) of Phi V = V T, the modes of Phi beyond `modulus`."""
+
+    def slow(real: float, imaginary: float = 0.0) -> bool:
+        return bool(np.hypot(real, imaginary) > modulus)
+
+    T, right, q = schur(alone, sort=slow)
+    return right[:, :q], T[:q, :q]
 
 
 def meet(demand: Demand, variance: Callable[[float], float]) -> float:

@@ -20,9 +20,9 @@ from observers.periodic import (
     variance_gain,
 )
 from observers.periodic_design import design, meet
-from observers.periodic_model import Extra, Frame, Stage, chain_model, endings, parts_of
+from observers.periodic_model import NOTHING, Extra, Frame, Stage, chain_model, endings, parts_of
 from observers.periodic_response import check_resolved
-from observers.periodic_schedule import GainLaw, Sampling, Schedule, certify, schedule
+from observers.periodic_schedule import GainLaw, Sampling, Schedule, certify, refined, schedule
 from observers.periodic_settings import (
     DESIGN,
     READINGS,
@@ -42,6 +42,8 @@ from observers.periodic_settings import (
 Array = NDArray[np.float64]
 
 LARGEST = float(np.finfo(float).max)  # what stands for no bound in an output, which has to be finite
+# Largest modulus of a sampled eigenvalue at which the noise is still computed; beyond, rounding decides.
+MARGINAL = 1.0 - 1e-9
 
 KINDS = {
     "full": ("L_tilde", "alpha_squared", "per"),
@@ -76,8 +78,8 @@ def make(
     Certified at `nodes` speeds and between them for samplings every `step`. `delay` is the transport before the system,
     `units` those of `y` and `w`, `start` the w that it begins at rest with.
 
-    Raises ConfigurationError with all that is wrong: shapes, A0 or C not injective, aliasing, a harmonic that y does not
-    see, a demand that cannot be met, multipliers of 1 or more in the range without `allow_unstable`.
+    Raises ConfigurationError with all that is wrong: shapes, A0 or C not injective, aliasing, a harmonic that y does
+    not see, a demand that cannot be met, multipliers of 1 or more in the range without `allow_unstable`.
     """
     found = Complaints()
     setting = read_setting(period, harmonics, step, speed, nodes, found)
@@ -136,7 +138,7 @@ def system_model(
     units: dict[str, Any] | None,
     allow_unstable: bool,
     law: GainLaw | None = None,
-    extra: Extra = Extra(),
+    extra: Extra = NOTHING,
 ) -> Model:
     """The model of one stage; `law` gives the gains where a module has its own way to them.
 
@@ -153,15 +155,19 @@ def system_model(
     require_seen(system, ends, name, told, found)
     found.end()
     found.collect(check_resolved, system, ends)
-    parts = found.collect(parts_of, system, setting.sampling.angle(setting.low) / (setting.low if system.per == "s" else 1.0))
+    parts = found.collect(
+        parts_of, system, setting.sampling.angle(setting.low) / (setting.low if system.per == "s" else 1.0)
+    )
     if setting.sampling.per == "s" and system.per == "rad":
         parts = found.collect(parts_of, system, setting.sampling.angle(setting.high))
-    chosen = law or read_law(system, setting, gains, found)
+    chosen, demanded = (law, None) if law else read_law(system, setting, gains, found)
     found.end()
     assert chosen is not None and waits is not None and parts is not None, "complaints were none"
     scheduled = found.collect(schedule, chosen, setting.low, setting.high, setting.nodes)
     found.end()
     assert scheduled is not None, "complaints were none"
+    if demanded is not None:
+        scheduled = refined(system, scheduled, chosen, setting.sampling.angle, demanded)
     certificate = certify(system, scheduled, setting.low, setting.high, setting.nodes, setting.sampling.angle)
     require_stable(certificate, name, told, allow_unstable, found)
     found.end()
@@ -183,29 +189,32 @@ def noise_gain(system: PeriodicSystem, scheduled: Schedule, sampling: Sampling, 
     for omega in speeds:
         K = scheduled.gain(omega)
         moved = sampled_error(system, K, omega, sampling.angle(omega))
-        if not np.abs(np.linalg.eigvals(moved)).max() < 1.0:
+        if not np.abs(np.linalg.eigvals(moved)).max() < MARGINAL:
             return LARGEST
         worst = max(worst, float(variance_gain([(moved, K, input_row(system))]).max()))
     return worst
 
 
-def read_law(system: PeriodicSystem, setting: Setting, gains: Any, found: Complaints) -> GainLaw | None:
-    """K over the speed for what is asked in `gains`; None where something is wrong."""
+def read_law(
+    system: PeriodicSystem, setting: Setting, gains: Any, found: Complaints
+) -> tuple[GainLaw | None, float | None]:
+    """K over the speed for what is asked in `gains`, None where something is wrong; and the multiplier of a design."""
     before = len(found.messages)
     kind, raw = read_gains(gains, KINDS, found)
     if kind == "design":
         return design_law(system, setting, raw, found)
     if not kind:
-        return None
-    n, m, p = *system.A0.shape, len(system.C)
+        return None, None
+    n, p = len(system.A), len(system.C)
     shape = (n, n) if kind == "full" else (n, p)
     key = "L_tilde" if kind == "full" else "L"
     try:
         state = np.array(raw.get(key), dtype=float).reshape(shape)
     except (TypeError, ValueError):
         found.add(f"gains: {kind}: {key} wants the shape {shape}, got {raw.get(key)}")
-        return None
-    reading = READINGS[[*READINGS].index(read_choice(raw.get("per", "rad"), f"gains: {kind}: per", READINGS, found))]  # type: ignore[call-overload]
+        return None, None
+    word = read_choice(raw.get("per", "rad"), f"gains: {kind}: per", READINGS, found)
+    reading = next(one for one in READINGS if one == word)
     weights: Array
     if kind == "full":
         weights = np.array(raw.get("alpha_squared", []), dtype=float)
@@ -221,26 +230,29 @@ def read_law(system: PeriodicSystem, setting: Setting, gains: Any, found: Compla
     epsilon = read_number(raw.get("epsilon"), "gains: partial: epsilon", found, 0.0) if kind == "partial" else 0.0
     sign = read_choice(raw.get("sign", "plus"), "gains: partial: sign", ("plus", "minus"), found)
     if len(found.messages) > before:
-        return None
+        return None, None
 
     def law(omega: float) -> Array:
         step = setting.sampling.angle(omega)
         over = omega if system.per == "s" else 1.0
         A, A0 = system.rates(omega)
         if kind == "full":
-            L, L_k = full_measurement_gains(A, A0, system.C, state / over, weights.tolist())
+            L, real = full_measurement_gains(A, A0, system.C, state / over, weights.tolist())
+            L_k = real.astype(np.complex128)
         else:
             L = state / over
             orders = [k * system.order for k in range(system.harmonics + 1)]
             L_k = partial_measurement_gains(A, A0, system.C, L, orders, epsilon, "plus" if sign == "plus" else "minus")
         unit = per_radian(reading, omega, step)
-        return Gains(L, np.asarray(L_k, dtype=complex)).times(step, unit * step).stacked()
+        return Gains(L, L_k).times(step, unit * step).stacked()
 
-    return law
+    return law, None
 
 
-def design_law(system: PeriodicSystem, setting: Setting, raw: dict[str, Any], found: Complaints) -> GainLaw | None:
-    """K over the speed by observers.periodic_design, one multiplier for the whole range; None where it cannot be."""
+def design_law(
+    system: PeriodicSystem, setting: Setting, raw: dict[str, Any], found: Complaints
+) -> tuple[GainLaw | None, float | None]:
+    """K over the speed by observers.periodic_design and its multiplier, one for the whole range; None where none is."""
     before = len(found.messages)
     demand = read_demand(raw, found)
     noise = None
@@ -249,7 +261,7 @@ def design_law(system: PeriodicSystem, setting: Setting, raw: dict[str, Any], fo
         if noise.shape != (len(system.C),) or not (noise > 0.0).all():
             found.add(f"gains: design: noise wants {len(system.C)} standard deviations above 0, got {raw['noise']}")
     if len(found.messages) > before:
-        return None
+        return None, None
 
     def gain(omega: float, multiplier: float) -> Array:
         return design(system, omega, setting.sampling.angle(omega), multiplier, noise)
@@ -263,4 +275,4 @@ def design_law(system: PeriodicSystem, setting: Setting, raw: dict[str, Any], fo
         return worst
 
     multiplier = found.collect(meet, demand, variance)
-    return None if multiplier is None else lambda omega: gain(omega, multiplier)
+    return (None, None) if multiplier is None else (lambda omega: gain(omega, multiplier), multiplier)

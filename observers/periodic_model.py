@@ -7,8 +7,8 @@ stage predicts and then corrects by y, so that its estimate is x(k|k):
     x+ = x- + K (y - C x-),   c_k+ = c_k + e^{-i k w0 alpha_k} K_k (y - C x-)
 
 with X_k = (i k w0 - A)^-1 A0 and A, A0 per radian at omega. The prediction is exact for a speed that does not change
-within the step. X_k comes from Faddeev and Leverrier's polynomials, right at any speed; the exponential, for n = 1, from
-np.exp, else from Taylor's series to the order TERMS over so many equal parts that the rest is below 1e-13.
+within the step. X_k comes from Faddeev and Leverrier's polynomials, right at any speed; the exponential, for n = 1,
+from np.exp, else from Taylor's series to the order TERMS over so many equal parts that the rest is below 1e-13.
 The next stage takes the w of a stage for its y. A stage costs a number of operations proportional to n^2 + n m h.
 """
 
@@ -70,6 +70,9 @@ class Extra(NamedTuple):
     values: Callable[[Reconstruction, Values], Mapping[str, Any]] = lambda found, p: {}
 
 
+NOTHING = Extra()
+
+
 class Frame(NamedTuple):
     """What a chain's model is called, what its signals are, and the speeds [rad/s] it was made for.
 
@@ -107,7 +110,7 @@ def parts_of(system: PeriodicSystem, interval: float) -> int:
     return parts
 
 
-def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = Extra()) -> Model:
+def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = NOTHING) -> Model:
     """The chain as a sampled Model with a sample time of 0, which samples at each step of its part.
 
     The first of `stages` sees the measurement. Inputs: y, `angle` [deg, counted on], `omega` [rad/s]. Outputs: the
@@ -166,8 +169,9 @@ def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = Extra()) -
                     updated[f"E_{k}{end}"] = np.sqrt(2.0 * (re * re + im * im))
         return updated | dict(extra.values(Reconstruction(moved, turning, omega), p))
 
-    begins = [signal.start if stages[-1].begin is None else float(value) for signal, value in
-              zip(frame.reconstructed, stages[-1].begin[1] if stages[-1].begin else [0.0] * len(ends), strict=True)]  # fmt: skip
+    begins = [signal.start for signal in frame.reconstructed]
+    if stages[-1].begin is not None:
+        begins = stages[-1].begin[1].tolist()
     outputs = [
         Signal(signal.name, signal.unit, start, signal.description, signal.nominal)
         for signal, start in zip(frame.reconstructed, begins, strict=True)
@@ -277,9 +281,7 @@ def _at_rest(
 
 def _mix(share: Sequence[Any], table: Any) -> list[list[Any]]:
     _, rows, columns = table.shape
-    return [
-        [sum(w * table[(k, i, j)] for k, w in enumerate(share)) for j in range(columns)] for i in range(rows)
-    ]
+    return [[sum(w * table[(k, i, j)] for k, w in enumerate(share)) for j in range(columns)] for i in range(rows)]
 
 
 def _sum_of(coefficients: Sequence[Sequence[Pair]], turns: Sequence[Pair]) -> list[Any]:
@@ -323,9 +325,7 @@ def _predict(
         for _ in range(stage.parts):
             term = alone
             for order in range(1, TERMS + 1):
-                moved = [
-                    sum(float(a) * v for a, v in zip(row, term, strict=True) if a != 0.0) for row in system.A
-                ]
+                moved = [sum(float(a) * v for a, v in zip(row, term, strict=True) if a != 0.0) for row in system.A]
                 term = [v * (interval / (stage.parts * order)) for v in moved]
                 alone = [a + v for a, v in zip(alone, term, strict=True)]
     expected = [a + b for a, b in zip(_in_step(X, held, turning), alone, strict=True)]

@@ -100,5 +100,3 @@ def check_resolved(system: PeriodicSystem, speeds: Sequence[float]) -> None:
                 f"A of {len(system.A)} states is too badly conditioned: its response is {away:.2g} away at "
                 f"{sigma:.6g} rad/s, and {RESOLVED:g} is wanted; scale its states, or leave some out"
             )
-
-

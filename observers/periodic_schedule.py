@@ -1,4 +1,4 @@
-"""Gains of a sampled periodic-input observer over speed: between what nodes they are read, and that they converge there.
+"""Gains of a sampled periodic-input observer over speed: at what nodes they are kept, and whether they converge.
 
 Everything here counts in the speed sigma that a system's matrices go by: omega [rad/s], or omega tau [rad] of a lag
 whose time constant was taken out of A.
@@ -6,6 +6,7 @@ whose time constant was taken out of A.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Literal, NamedTuple
 
@@ -22,6 +23,8 @@ GainLaw = Callable[[float], Array]
 STRAIGHT = 1e-12
 # Speeds between two nodes at which convergence is certified, too.
 BETWEEN = 4
+# How near to what was demanded, relatively, the multipliers are between nodes, and how many nodes that may take.
+NEAR, MOST_NODES = 0.005, 65
 
 
 class Sampling(NamedTuple):
@@ -83,6 +86,31 @@ def schedule(law: GainLaw, low: float, high: float, nodes: int) -> Schedule:
     return Schedule("speed", speeds, table)
 
 
+def refined(
+    system: PeriodicSystem, scheduled: Schedule, law: GainLaw, step: Callable[[float], float], demanded: float
+) -> Schedule:
+    """The schedule with more nodes, where between two of them the largest multiplier is not `demanded`.
+
+    Half-way between the nodes of such a gap one is put in, until the demand is kept to NEAR or there are MOST_NODES.
+    """
+    while len(scheduled.nodes) < MOST_NODES:
+        nodes, middles = scheduled.nodes, []
+        for low, high in itertools.pairwise(nodes):
+            inner = [low + (high - low) * j / (BETWEEN + 1) for j in range(1, BETWEEN + 1)]
+            speeds = inner if scheduled.variable == "speed" else [1.0 / value for value in inner]
+            worst = max(abs(sampled_multipliers(system, scheduled.gain(s), s, step(s))[0]) for s in speeds)
+            if worst > demanded * (1.0 + NEAR):
+                middles.append(0.5 * (low + high))
+        if not middles:
+            break
+        added = np.array([law(v if scheduled.variable == "speed" else 1.0 / v) for v in middles])
+        order = np.argsort(np.concatenate([nodes, middles]))
+        scheduled = Schedule(
+            scheduled.variable, np.concatenate([nodes, middles])[order], np.concatenate([scheduled.table, added])[order]
+        )
+    return scheduled
+
+
 class Certificate(NamedTuple):
     """Largest multiplier over a period, `largest` (q,), at each of the speeds sigma that were looked at (q,)."""
 
@@ -106,7 +134,7 @@ def certify(
     if low == high:
         speeds = np.array([low])
     else:
-        grid = np.union1d(np.geomspace(low, high, max(nodes, 3)), scheduled.speeds)
+        grid = np.clip(np.union1d(np.geomspace(low, high, max(nodes, 3)), scheduled.speeds), low, high)
         shares = np.linspace(0.0, 1.0, BETWEEN + 2)[:-1]
         inner = grid[:-1, None] + np.diff(grid)[:, None] * shares
         speeds = np.append(inner.ravel(), grid[-1])

@@ -100,7 +100,7 @@ def read_start(raw: Any, units: list[str], found: Complaints) -> Array | None:
 
 
 def per_radian(reading: Reading, omega: float, step: float) -> float:
-    """What a gain that counts per s, per sample or per rad is times to count per rad, at `omega` [rad/s], `step` [rad]."""
+    """What turns a gain per s, sample or rad into one per rad, at `omega` [rad/s] and `step` [rad]."""
     return {"s": 1.0 / omega, "sample": 1.0 / step, "rad": 1.0}[reading]
 
 

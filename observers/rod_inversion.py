@@ -4,11 +4,11 @@ The paper couples x1, the speed at the end, to x2, next to the cylinders, by
 
     (x1'' - x2'') + 2 xi wr (x1' - x2') + wr^2 (x1 - x2) = 0,
 
-in which x1 - x2 dies out whatever x2 does: in what repeats x1 is x2, and there is nothing to invert. Its matrix from the
-coefficients of w0 to those of x2 gives those of x1 accordingly (`printed_cylinder`). What a rod does that is driven at its
-end is x1'' = -2 xi wr (x1' - x2') - wr^2 (x1 - x2). Then w0 = 2 xi wr x2' + wr^2 x2 drives the same observer, and the
-coefficients of x2 are those of w0 over wr^2 + i 2 xi wr k w0. This is what runs here; w counts as w0/wr^2 [rad/s], so that
-A0 = [0; wr^2], and a speed that does not change is its own w.
+in which x1 - x2 dies out whatever x2 does: in what repeats x1 is x2, and there is nothing to invert. Accordingly its
+matrix from the coefficients of w0 to those of x2 gives those of x1 (`printed_cylinder`). A rod driven at its end does
+x1'' = -2 xi wr (x1' - x2') - wr^2 (x1 - x2). Then w0 = 2 xi wr x2' + wr^2 x2 drives the same observer, and the
+coefficients of x2 are those of w0 over wr^2 + i 2 xi wr k w0. This is what runs here; w counts as w0/wr^2 [rad/s], so
+that A0 = [0; wr^2], and a speed that does not change is its own w.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ def make(
 ) -> Model:
     """The observer of a rod of n = 2 by its end's speed y [rad/s]; `omega_cylinder` is the other end's.
 
-    The rod's natural frequency is fixed in time, `frequency` (125 Hz where neither is given [I]), or as the paper prints
-    it in crank angle, `order`, oscillations per revolution. `gains` is one of
-    - `published: {per, sign, input}`, Eq. 9 with L = [2 xi wr, 2 wr^2] and epsilon beta^2 = 0.1: `per` what L_k count per
-      (s, sample, rad), `sign` as printed (minus) or as it descends (plus), `input` A0 = [0; 1] (one) or [0; wr^2]
+    The rod's natural frequency is fixed in time, `frequency` (125 Hz where neither is given [I]), or, as the paper
+    prints it, in crank angle, `order`, oscillations per revolution. `gains` is one of
+    - `published: {per, sign, input}`, Eq. 9 with L = [2 xi wr, 2 wr^2] and epsilon beta^2 = 0.1: `per` what L_k count
+      per (s, sample, rad), `sign` as printed (minus) or as it descends (plus), `input` A0 = [0; 1] (one) or [0; wr^2]
       (square) in the variable that L_k count per;
     - `partial`, the same with another `epsilon`;
     - `design: {multiplier, variance_gain, prefer}`.
@@ -121,15 +121,15 @@ def cylinder_factor(wr: float, xi: float, frequency: Any) -> tuple[Any, Any]:
 def printed_cylinder(coefficient: complex, wr: float, xi: float, frequency: float) -> complex:
     """What the paper's matrix [[wr^2 - f^2, 2 xi wr f], [-2 xi wr f, wr^2 - f^2]]^-1 makes of w0's coefficient.
 
-    `coefficient` of w0, not of w; f = k w0. On (Re, Im) the matrix is the division by wr^2 - f^2 - i 2 xi wr f; read with
-    the sign of i that differentiation has, it is the rod's response itself, and gives x1.
+    `coefficient` of w0 = wr^2 w, f = k w0. Read on the coefficients of cosine and sine, (Re, -Im), the matrix is the
+    rod's own response: what comes out is x1, which was measured.
     """
     matrix = np.array([
         [wr**2 - frequency**2, 2.0 * xi * wr * frequency],
         [-2.0 * xi * wr * frequency, wr**2 - frequency**2],
     ])  # fmt: skip
-    re, im = np.linalg.solve(matrix, [coefficient.real, coefficient.imag])
-    return complex(re, im)
+    cosine, sine = np.linalg.solve(matrix, [coefficient.real, -coefficient.imag])
+    return complex(cosine, -sine)
 
 
 def _law(
