@@ -7,8 +7,8 @@ rho^2 = mu^(step/T0) their multiplier over a period is mu. Nothing else is as ch
 noise leaves, each sample weighted by rho^-2j.
 
 A plant's own mode that decays more slowly than that is hurried along first, by the same equation on such modes alone,
-the slowest demand on rho being that none ends beyond mu. The periodic modes are then moved for the plant so hurried; the
-two gains add up. Where a plant has no such mode its own gain is nought: x is then X d and what decays by itself.
+so that none ends beyond mu. The periodic modes are then moved for the plant so hurried; the two gains add up. Where a
+plant has no such mode its own gain is nought: its error is X d~ and what decays by itself.
 
 Without process noise the Riccati equation is a linear one for its inverse Y on the modes that move:
 Y = Lambda^-T (Y + C' R^-1 C) Lambda^-1, and K = (Y + C' R^-1 C)^-1 C' R^-1.
