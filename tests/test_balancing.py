@@ -1,4 +1,4 @@
-"""The PI balancing of injected fuel: it converges as its poles say, keeps the mean and its limits, and goes off and on."""
+"""PI balancing of injected fuel: it converges as its poles say, keeps mean and limits, and goes off and on."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_the_loop_converges_as_its_poles_say(k_p, k_i, gain, delay):
 def test_without_proportional_part_the_error_is_a_geometric_series():
     engine = Engine(1.2, 1, k_p=0.0, k_i=0.3)
     for n in range(20):
-        e, r = engine.cycle(OFFSETS)
+        e, _ = engine.cycle(OFFSETS)
         np.testing.assert_allclose(e, -1.2 * OFFSETS * (1.0 - 1.2 * 0.3) ** n, atol=1e-14)
 
 
@@ -108,7 +108,7 @@ def test_what_could_not_be_corrected_does_not_wind_up():
     # The injectors are exchanged for ones that are off the other way. An integrator that had grown for 200 cycles, to
     # 200 k_i 0.3 = 18 and more, would take as long to come back; this one is off the limit at the first cycle.
     seen = [limited.cycle(-0.2 * OFFSETS) for _ in range(25)]
-    e, r = seen[1]
+    _, r = seen[1]
     assert np.abs(r).max() < 0.05
     assert np.abs(seen[-1][0]).max() < 1e-3 * np.abs(OFFSETS).max()
 

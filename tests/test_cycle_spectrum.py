@@ -80,7 +80,7 @@ def test_at_unequal_angles_the_error_stays_within_that_of_the_trapezoidal_rule(s
                 # |f''| of f = w e^{-i j a}, where w has the harmonics i: at most sum |c_i| (i + j)^2, in deg^-2.
                 curved = np.sum(w * (k + k[j]) ** 2) - COEFFICIENTS[0].real * k[j] ** 2
                 bound = steps.max() ** 2 / 12.0 * curved
-                # The ends of the cycle lie between two samples, twice in 720 deg, where the line is off by w'' step^2/8.
+                # The ends of the cycle lie between two samples, where the line is off by w'' step^2/8.
                 bound += 2.0 * steps.max() ** 3 / 8.0 * np.sum(w[1:] * k[1:] ** 2) / 720.0
                 assert error[j] <= bound + 1e-12
         errors.append(max(np.abs(coefficients(spectrum) - COEFFICIENTS[:4]).max() for _, spectrum in found))
@@ -104,14 +104,17 @@ def test_a_cycle_with_a_step_that_is_too_long_or_goes_back_does_not_count_and_th
     assert [round(over_the_end[k]) for k, _ in spectra(over_the_end, signal(over_the_end))] == [2880, 3600]
     back = np.insert(angles, 200, [1100.0, 1150.0])
     assert [round(back[k]) for k, _ in spectra(back, signal(back))] == [2160, 2880, 3600]
-    # Backwards over an end and forward again: the end that comes again has no whole cycle, the cycle after it begins anew.
+    # Backwards over an end and forward again: the end that comes again has no whole cycle, and begins one.
     rocking = np.insert(angles, 242, [1430.0, 1435.0])
     assert [k for k, _ in spectra(rocking, signal(rocking))] == [240, 362, 482, 602]
 
 
 def test_an_origin_moves_where_cycles_begin_and_nothing_else():
     angles = np.arange(0.0, 2161.0, 6.0)
-    (_, first), (_, moved) = spectra(angles, signal(angles))[-1], spectra(angles + 90.0, signal(angles), origin=90.0)[-1]
+    (_, first), (_, moved) = (
+        spectra(angles, signal(angles))[-1],
+        spectra(angles + 90.0, signal(angles), origin=90.0)[-1],
+    )
     np.testing.assert_allclose(coefficients(moved), coefficients(first), rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.array(moved.means, float), np.array(first.means, float), rtol=0, atol=1e-12)
 

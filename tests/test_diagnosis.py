@@ -10,7 +10,7 @@ from scipy.stats import binom, chi2, ncx2
 from fmus.component import ConfigurationError
 from fmus.model import Model
 from observers import diagnosis
-from observers.exhaust_path import Pattern, Path, deviations_of, harmonics_of, locate, path_phasors, pattern_of
+from observers.exhaust_path import Path, Pattern, deviations_of, harmonics_of, locate, path_phasors, pattern_of
 from observers.imbalance import (
     Held,
     Variances,
@@ -33,7 +33,7 @@ EVC_ALIGNED = {"evo": 150.0, "evc": 390.0}
 
 
 def signal(angle: np.ndarray, afr: np.ndarray, rpm: float, lags=LAGS, harmonics: int = 400) -> np.ndarray:
-    """What arrives of cylinders with `afr` (4,) by number: the Fourier series of a staircase, each harmonic by the path.
+    """What arrives of cylinders with `afr` (4,) by number: the Fourier series of a staircase through the path.
 
     In complex numbers and with 400 harmonics: nothing of the observer's own arithmetic.
     """
@@ -312,7 +312,7 @@ def test_all_that_is_wrong_with_the_arguments_is_told_at_once():
     text = str(told.value)
     for part in (
         "no estimate is named 'paths'; did you mean 'path'?", "noise wants 0 or more, got -1",
-        "false_alarm_rate wants more than 0 and less than 1 per cycle, got 2", "persistence wants 1 cycle or more, got 0",
+        "false_alarm_rate wants more than 0 and less than 1 per cycle, got 2", "persistence wants 1 cycle or more",
         "firing_order wants cylinders 1 to 4 once each, like [1, 3, 4, 2], got [1, 2, 2, 4]", "got 140 to 520 deg",
         "pulse wants more than 0 and less than 360 deg", "mixing_time wants 0 or more", "lags[2] wants 0 or more",
         "longest_step wants more than 0 deg and 90 deg at most, got 120 deg", "sample_time wants 0 s",

@@ -18,7 +18,9 @@ from observers.exhaust_path import (
 )
 
 LAGS = (0.025, 0.02)  # s, those of the paper's sensor
-PATH = Path(centre=230.0, pulse=180.0, mixing_time=0.02, mixing_angle=90.0, delay_time=2e-3, delay_angle=60.0, lags=LAGS)
+PATH = Path(
+    centre=230.0, pulse=180.0, mixing_time=0.02, mixing_angle=90.0, delay_time=2e-3, delay_angle=60.0, lags=LAGS
+)
 SPEEDS = [800.0, 1500.0, 3000.0, 4500.0]
 
 
