@@ -147,7 +147,7 @@ def test_provenance_says_what_was_run_and_that_the_tool_is_not_qualified(failed_
         assert expected in text
     assert "torque → plant → encoder → hybrid → open_loop (9 of the cases) No wire is held" in text
     assert "the plant's FMU names no unit for tau 9" in text
-    assert "located detection of [plant.location, hybrid.location] detection 2 How fast a location is found." in text
+    assert "located detection of [plant.location, hybrid.location] detection 1 How fast a location is found." in text
     assert "not a qualified tool" in text
 
 
