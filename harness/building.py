@@ -22,7 +22,7 @@ from harness.resolve import SOLVER
 from harness.settings import read_arguments, read_settings
 
 # Where a short name like `driveline` is looked for.
-PACKAGES = ("fmus.plants", "observers")
+PACKAGES = ("fmus.plants", "fmus.controllers", "observers")
 
 
 class Export(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -33,7 +33,9 @@ def accuracy(truth: Vector, estimate: Vector) -> float:
     return float(np.mean(truth == estimate)) if len(truth) else np.nan
 
 
-def detection(time: Vector, truth: Vector, estimate: Vector) -> Mapping[str, float | Vector]:
+def detection(
+    time: Vector, truth: Vector, estimate: Vector, cycles: Vector | None = None
+) -> Mapping[str, float | Vector]:
     """How fast and how cleanly a discrete estimate follows a discrete truth; all (n,).
 
     A change of the truth at row k to v is detected at the first row j >= k with estimate_j = v, before the truth
@@ -41,24 +43,24 @@ def detection(time: Vector, truth: Vector, estimate: Vector) -> Mapping[str, flo
     pending from k to j (to the end of that stretch where missed). A false alarm is a change of the estimate to a value
     other than the truth while no detection is pending. `delay_median` and `delay_p95` count missed changes; p95 is the
     smallest delay that at least 95 % of the changes do not exceed. `delay` holds all delays, `false_alarms_per_min` is
-    over the length of the window, `accuracy` the share of equal rows.
+    over the length of the window, `accuracy` the share of equal rows. `cycles` (n,) counts the turns of the crankshaft
+    in engine cycles, in which the delays are `delay_cycles`, with their median and p95.
     """
     changes = np.flatnonzero(np.diff(truth)) + 1
     ends = np.append(changes, len(truth))[1:]
     pending = np.zeros(len(truth), dtype=bool)
-    delays = np.full(len(changes), np.inf)
-    for index, (start, end) in enumerate(zip(changes, ends, strict=True)):
+    found: list[int | None] = []
+    for start, end in zip(changes, ends, strict=True):
         matches = np.flatnonzero(estimate[start:end] == truth[start])
-        if len(matches):
-            delays[index] = time[start + matches[0]] - time[start]
-            end = start + matches[0] + 1
-        pending[start:end] = True
+        seen = int(start + matches[0]) if len(matches) else None
+        found.append(seen)
+        pending[start : end if seen is None else seen + 1] = True
     moves = np.flatnonzero(np.diff(estimate)) + 1
     alarms = np.count_nonzero((estimate[moves] != truth[moves]) & ~pending[moves])
     minutes = (time[-1] - time[0]) / 60.0 if len(time) > 1 else 0.0
     return {
-        **_delays(delays),
-        "changes": float(len(delays)),
+        **_delays(changes, found, time, cycles),
+        "changes": float(len(changes)),
         "false_alarms": float(alarms),
         "false_alarms_per_min": alarms / minutes if minutes > 0 else np.nan,
         "accuracy": accuracy(truth, estimate),
@@ -74,22 +76,21 @@ def alarm(time: Vector, fault: Vector, raised: Vector, cycles: Vector | None) ->
     over the time and the engine cycles without a fault. `true_positive_rate` is the share of the rows with the fault
     on that have the alarm on, `false_positive_rate` that of the rows with the fault off. `delay_median` and `delay_p95`
     count missed faults; p95 is the smallest delay that at least 95 % of the faults do not exceed. `cycles` (n,) counts
-    the turns of the crankshaft in engine cycles.
+    the turns of the crankshaft in engine cycles, in which the delays are `delay_cycles`, with their median and p95.
     """
     faulty, alarmed = fault != 0, raised != 0
     stretches = _stretches(faulty)
-    delays = np.full(len(stretches), np.inf)
-    for index, (start, end) in enumerate(stretches):
-        if alarmed[start:end].any():
-            delays[index] = time[start + int(np.argmax(alarmed[start:end]))] - time[start]
+    found = [
+        start + int(np.argmax(alarmed[start:end])) if alarmed[start:end].any() else None for start, end in stretches
+    ]
     false = float(sum(not faulty[start] for start, _ in _stretches(alarmed)))
     faulty_rows, hits = np.count_nonzero(faulty), np.count_nonzero(alarmed & faulty)
     sound_rows = len(time) - faulty_rows
     hours = _outside(stretches, time) / 3600.0
     sound_cycles = _outside(stretches, cycles) if cycles is not None else 0.0
     return {
-        **_delays(delays),
-        "faults": float(len(delays)),
+        **_delays([start for start, _ in stretches], found, time, cycles),
+        "faults": float(len(stretches)),
         "false_alarms": false,
         "false_alarms_per_hour": false / hours if hours > 0 else np.nan,
         "false_alarms_per_cycle": false / sound_cycles if sound_cycles > 0 else np.nan,
@@ -120,13 +121,20 @@ def confusion(truth: Vector, estimate: Vector, classes: Mapping[str, float]) -> 
     return found
 
 
-def _delays(delays: Vector) -> dict[str, float | Vector]:
-    return {
-        "delay": delays,
-        "delay_median": float(np.median(delays)) if len(delays) else np.nan,
-        "delay_p95": percentile(delays, 95.0),
-        "missed": float(np.count_nonzero(np.isinf(delays))),
-    }
+def _delays(
+    starts: Sequence[int] | NDArray[np.intp], found: Sequence[int | None], time: Vector, cycles: Vector | None
+) -> dict[str, float | Vector]:
+    """From the rows where something starts to those where it is found, None where never: in s, and in cycles."""
+    told: dict[str, float | Vector] = {"missed": float(found.count(None))}
+    for name, along in {"delay": time, "delay_cycles": cycles}.items():
+        if along is not None:
+            delays = np.array(
+                [np.inf if row is None else along[row] - along[start] for start, row in zip(starts, found, strict=True)]
+            )
+            told[name] = delays
+            told[f"{name}_median"] = float(np.median(delays)) if len(delays) else np.nan
+            told[f"{name}_p95"] = percentile(delays, 95.0)
+    return told
 
 
 def _stretches(on: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -175,37 +183,34 @@ class Discrete(Arguments):
 
 
 class DiscreteInTime(Discrete):
-    """[truth, estimate] of discrete signals, and the time of each row."""
+    """[truth, estimate] of discrete signals, and what an engine cycle is where delays are to be told in cycles, too."""
 
-    def arrays(self, window: Window) -> tuple[Any, ...]:
-        """(time, truth, estimate)."""
-        return window.time, *super().arrays(window)
-
-
-class Alarm(DiscreteInTime):
-    """[fault, alarm], both on where not 0, and what an engine cycle is where alarms are to be told per cycle."""
-
-    pair: Pair = Field(description="[fault, alarm]")
     cycle: Quantity | None = Field(None, description="crank angle of an engine cycle, like 720 deg")
 
     @model_validator(mode="after")
-    def _a_cycle(self) -> Alarm:
+    def _a_cycle(self) -> DiscreteInTime:
         if self.cycle is not None and degrees(self.cycle) <= 0:
             raise ValueError(f"cycle wants a crank angle above 0 deg, got {self.cycle}")
         return self
 
     def results(self, offered: Mapping[str, Result]) -> Mapping[str, Result]:
-        """False alarms per cycle only where a cycle is given."""
-        return {name: one for name, one in offered.items() if self.cycle or name != "false_alarms_per_cycle"}
+        """What is told in cycles only where a cycle is given."""
+        return {name: one for name, one in offered.items() if self.cycle or "cycle" not in name}
 
     def arrays(self, window: Window) -> tuple[Any, ...]:
-        """(time, fault, alarm, turns in cycles or None)."""
+        """(time, truth, estimate, turns in cycles or None)."""
         cycles = window.crank / degrees(self.cycle) if self.cycle else None
-        return *super().arrays(window), cycles
+        return window.time, *super().arrays(window), cycles
 
     def crank_misfits(self, rows: CrankRows) -> list[str]:
         """A cycle where the rows have no crank angle."""
         return [f"cycle {NO_CRANK_ANGLE}"] if self.cycle and rows.unknown else []
+
+
+class Alarm(DiscreteInTime):
+    """[fault, alarm], both on where not 0, and what an engine cycle is where they are to be told in cycles, too."""
+
+    pair: Pair = Field(description="[fault, alarm]")
 
 
 def read_classes(raw: Any) -> Any:

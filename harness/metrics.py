@@ -34,6 +34,9 @@ DELAYS = {
     "delay": Result("s", sampled=True),
     "delay_median": SECONDS,
     "delay_p95": SECONDS,
+    "delay_cycles": Result("count", sampled=True),
+    "delay_cycles_median": COUNT,
+    "delay_cycles_p95": COUNT,
     "missed": COUNT,
 }
 CONSISTENCY = {
@@ -70,6 +73,7 @@ KINDS: Mapping[str, Kind] = {
             "false_alarms_per_min": Result("1/min"),
             "accuracy": SHARE,
         },
+        version=2,
     ),
     "alarm": Kind(
         diagnosismetrics.alarm,
@@ -83,6 +87,7 @@ KINDS: Mapping[str, Kind] = {
             "true_positive_rate": SHARE,
             "false_positive_rate": SHARE,
         },
+        version=2,
     ),
     "confusion": Kind(
         diagnosismetrics.confusion,

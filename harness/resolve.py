@@ -136,8 +136,8 @@ def _import(name: str, found: Findings) -> ModuleType | None:
 
 
 def _shipped() -> Iterable[str]:
-    """The modules of plants and observers that can be used by name."""
-    for package in ("fmus.plants", "observers"):
+    """The modules of plants, controllers and observers that can be used by name."""
+    for package in ("fmus.plants", "fmus.controllers", "observers"):
         for module in pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}."):
             yield module.name
 

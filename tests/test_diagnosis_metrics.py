@@ -46,6 +46,7 @@ def test_false_alarms_per_cycle_are_over_the_cycles_without_a_fault():
     found = values_of({"alarm": {"pair": PAIR, "cycle": "720 deg"}}, recorded)
     # The fault starts with row 500: rows 0 to 499 are 499 steps of 6 deg without it.
     assert found["false_alarms_per_cycle"] == pytest.approx(2 / (499 * 6 / 720))
+    assert found["delay_cycles_median"] == pytest.approx(100 * 6 / 720)  # from row 500 to row 600
     two_stroke = values_of({"alarm": {"pair": PAIR, "cycle": "1 rev"}}, recorded)
     assert two_stroke["false_alarms_per_cycle"] == pytest.approx(1 / (499 * 6 / 720))
 

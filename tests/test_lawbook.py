@@ -12,6 +12,7 @@ from lawbook import Course, check_component
 from third_party import OPENMODELICA, pythonfmu3_fmu, pythonfmu_fmu, reference_fmu, third_party_fmu
 
 from fmus.component import Component, Role, Signal, StepError, Vector
+from fmus.controllers import balancing
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model
@@ -19,7 +20,19 @@ from fmus.plants import driveline, exhaust_afr, rod, turbo_si, turbo_si_speed
 from harness.campaign import find_campaign, read_campaign
 from harness.scenario import ModelPart
 from harness.wiring import wire
-from observers import constant_gain, ekf, evasion, hybrid, luenberger, model_alone, open_loop, switched, ukf
+from observers import (
+    constant_gain,
+    diagnosis,
+    ekf,
+    evasion,
+    hybrid,
+    luenberger,
+    model_alone,
+    open_loop,
+    switched,
+    torque_imbalance,
+    ukf,
+)
 
 PLANT = "fmus.plants.driveline"
 DEMANDS = {"plant": PLANT, "delay": 0.02, "dwell": 0.1, "rate": 5.0}
@@ -43,6 +56,11 @@ MODELS: dict[str, Callable[[], Model]] = {
     "ekf": lambda: ekf.make(**SENSED, uncertainty=0.1),
     "ukf": lambda: ukf.make(**SENSED, uncertainty=0.1),
     "evasion": lambda: evasion.make(PLANT, 2, 3, delay=0.2, threshold="0.1 rpm", bandwidth=300.0, entry_error=10.0),
+    # Model Exchange wants a sample time in s.
+    "diagnosis": lambda: diagnosis.make(mixing_time=0.03, lags=[0.025, 0.02], sample_time=1e-3),
+    "exhaust_means": lambda: diagnosis.make(estimate="exhaust_mean", sample_time=1e-3),
+    "torque_imbalance": lambda: torque_imbalance.make(sample_time=1e-3),
+    "balancing": lambda: balancing.make(sample_time=1e-3),
 }
 # Each with the step of its default experiment. The ball stays above the ground for these steps.
 REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthrough": 0.1, "Stair": 0.2}

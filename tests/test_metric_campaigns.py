@@ -91,7 +91,7 @@ def test_a_run_folder_says_of_each_metric_its_kind_version_meaning_and_what_is_c
     assert told["meaning"] == KINDS["confusion"].meaning
     assert told["compares"] == [["fault.value", "said.value"]]
     page = write_report(diagnosed).read_text()
-    assert "<td>confusion 1</td>" in page and "<td>alarm 1</td>" in page
+    assert "<td>confusion 1</td>" in page and "<td>alarm 2</td>" in page
 
 
 def test_the_report_adds_the_matrices_of_the_cases_up_and_draws_them(diagnosed):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from records import TIME, measured, record, values_of
+from records import TIME, measured, on_crank, record, values_of
 
 from fmus.component import Signal
 from harness.definitions import Definition, digest, measure, misfits, shown_unit
@@ -75,6 +75,29 @@ def test_a_detection_takes_from_the_change_to_the_first_equal_row():
     assert values["m.missed"].value == 0
     assert values["m.false_alarms_per_min"] == (0.0, "1/min")
     assert values["m.accuracy"].value == pytest.approx(1 - 100 / 1001)
+
+
+def test_a_detection_counts_engine_cycles_where_it_is_given_one():
+    crank = 6.0 * np.arange(1001)
+    truth = np.where(crank < 1440.0, 0, np.where(crank < 3600.0, 1, 2))
+    estimate = np.where(crank < 1800.0, 0, 1)  # half a cycle late, and the second change missed
+    columns = {"plant.q": (truth, "1"), "observer.q": (estimate, "1")}
+    pair = ["plant.q", "observer.q"]
+    found = measured({"detection": {"pair": pair, "cycle": "720 deg"}, "unit": "ms"}, on_crank(columns, crank))
+    assert found.samples["m.delay_cycles"] == pytest.approx([0.5, math.inf])
+    assert found.values["m.delay_cycles_median"] == (math.inf, "1")
+    assert found.samples["m.delay"] == pytest.approx([360.0 / 6000.0 * 1e3, math.inf])
+    until = {"detection": {"pair": pair, "cycle": "1 rev"}, "until": "2160 deg"}
+    assert values_of(until, on_crank(columns, crank))["delay_cycles_p95"] == pytest.approx(1.0)
+    without = measured({"detection": pair}, on_crank(columns, crank))
+    assert not any("cycle" in name for name in (*without.values, *without.samples))
+
+
+def test_a_detection_in_cycles_on_a_time_clock_wants_the_signal_of_the_angle():
+    columns = {"plant.q": (np.where(TIME < 0.5, 0, 1), "1"), "observer.q": (np.where(TIME < 0.6, 0, 1), "1")}
+    turning = {**columns, "crank.angle": (80.0 * np.pi * TIME, "rad")}  # 2400 rpm: 20 cycles a second
+    definition = {"detection": {"pair": ["plant.q", "observer.q"], "cycle": "720 deg"}, "angle": "crank.angle"}
+    assert values_of(definition, record(turning))["delay_cycles_median"] == pytest.approx(2.0)
 
 
 def test_a_change_not_seen_before_the_next_one_is_missed_and_its_delay_infinite():
@@ -160,7 +183,8 @@ def test_an_empty_window_gives_no_number_rather_than_an_error(kind):
     columns = {"plant.x": (sine(), "rad"), "observer.x": (sine(), "rad")}
     definition = {kind: ARGUMENTS.get(kind, PAIR), "after": "7 s"}
     values = values_of(definition, record(columns, crank=6.0 * np.arange(1001)))
-    assert values.keys() == {suffix for suffix in Definition.model_validate(definition).results if suffix != "delay"}
+    results = Definition.model_validate(definition).results
+    assert values.keys() == {suffix for suffix, result in results.items() if not result.sampled}
     assert all(value == 0 if name in COUNTS else math.isnan(value) for name, value in values.items())
 
 

@@ -1,0 +1,1 @@
+"""Built-in controllers, one module each: control law, units, source, where it is stable."""
