@@ -31,6 +31,7 @@ from fmus.units import parse_unit
 
 TENTH = 0.1 / 9000.0  # s, a tenth of a degree at 1500 rpm
 SI_FUEL = 2.8e-5
+NO_FUEL = {f"{name}_{i}": 0.0 for i in CYLINDERS for name in ("fuel", "burnt", "burn")}
 
 
 def fuel_of(parameter_set: str | None) -> float:
@@ -59,7 +60,7 @@ def begin_at(rpm: float) -> dict[str, float]:
 
 
 def test_a_motored_cylinder_whose_walls_take_no_heat_is_isentropic_while_shut():
-    run, p = course(fuelled(0.0), 21600 * TENTH, TENTH, {"wall": 0.0}), parameters()
+    run, p = course(fuelled(0.0), 21600 * TENTH, TENTH, {"wall": 0.0, **NO_FUEL}), parameters()
     for i in CYLINDERS:
         angle = run["theta"] - FIRING[i] - CYCLE
         shut = (angle > (p["IVC"] - 720.0) * DEG) & (angle < p["EVO"] * DEG)
@@ -282,8 +283,7 @@ def test_the_kinetic_energy_changes_by_the_torques_in_every_state():
 
 
 def test_a_crank_that_nothing_drives_or_brakes_keeps_its_kinetic_energy_in_the_fmu():
-    empty = {f"{name}_{i}": 0.0 for i in CYLINDERS for name in ("fuel", "burnt", "burn")}
-    empty |= {f"U_{i}": 1e-9 for i in CYLINDERS}
+    empty = NO_FUEL | {f"U_{i}": 1e-9 for i in CYLINDERS}
     still = {
         name: 0.0 for name in ("p_case", "wall", "A_int", "A_exh", "fmep_0", "fmep_1", "fmep_2", "dyno_p", "dyno_i")
     }
