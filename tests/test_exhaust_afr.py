@@ -18,6 +18,8 @@ from fmus.exhaust_path import (
     profile_response,
     sensor_response,
 )
+from fmus.export import cached_fmu
+from fmus.fmu import load_fmu
 from fmus.jacobians import Point, jacobians, point
 from fmus.model import FlatModel
 from fmus.plants.exhaust_afr import CELLS, CYCLE, FIRING, MODEL, OUTPUTS, cell_mass, exhaust_profile
@@ -120,6 +122,26 @@ def test_in_each_cycle_exactly_the_mass_of_the_cylinders_goes_in():
     masses = (6.3e-4, 4.1e-4, 5e-4, 7.7e-4)
     y = run(Course(2500.0, cycles=50), (20.0,) * 4, masses, model=with_ledger())
     np.testing.assert_allclose(np.diff(y["mass_in"][::120]), sum(masses), rtol=1e-11)
+
+
+def test_where_the_speed_swings_the_mass_of_a_cycle_is_right_but_for_half_a_steps_change_of_it():
+    swing, step, m = 0.02, np.radians(6.0), MASS
+    component = load_fmu(cached_fmu(with_ledger()))
+    names, t, entered = [signal.name for signal in component.outputs], 0.0, []
+    component.start(0.0, point(MODEL).u)
+    for k in range(1, 361):
+        # Speed over crank angle; a step takes the time of its mean and is given angle and speed of its end.
+        theta = k * step
+        mean = 150.0 * (1.0 + swing * np.sin(2.0 * (theta - 0.5 * step)) * np.sinc(step / np.pi))
+        u = np.array([theta, 150.0 * (1.0 + swing * np.sin(2.0 * theta)), *[20.0] * 4, *[m] * 4, T_EXH])
+        entered.append(component.step(t, step / mean, u)[names.index("mass_in")])
+        t += step / mean
+    component.close()
+    found = (entered[359] - entered[239]) / (4.0 * m) - 1.0
+    # The integral of f (omega - mean)/omega: half a step of 2 swing cos(2 theta), by the profile's transform.
+    gain, phase = profile_response(2.0, P)
+    assert found == pytest.approx(0.5 * step * 2.0 * swing * gain * np.cos(phase), abs=5e-5)
+    assert abs(found) < 6e-4
 
 
 @pytest.mark.parametrize("N", [800.0, 6000.0])

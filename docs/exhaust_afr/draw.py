@@ -96,12 +96,12 @@ def _gains(axes: Any, speeds: Sequence[float]) -> None:
     omega = N * np.pi / 30.0
     breathing, some = Breathing(omega, M_EXH, T_EXH), slice(None, None, 6)
     measured = {one: simulate(one, AFR + 1e-3) for one in speeds}
+    exact = np.array([path_harmonics(3, one, np.full(4, M_EXH), T_EXH, P)[0] for one in omega[some]])
     for k, colour in zip((1, 2, 3), ("C0", "C1", "C2"), strict=True):
         order = 0.5 * k
-        periodic = np.array([path_harmonics(k, one, np.full(4, M_EXH), T_EXH, P)[0, k] for one in omega[some]])
         for name, marker in (("afr_turbine", "o"), ("afr_sensor", "s")):
             lags = sensor_response(order, omega, P) if name == "afr_sensor" else np.ones(len(N))
-            line, course = path_response(order, breathing, P) * lags, periodic * lags[some]
+            line, course = path_response(order, breathing, P) * lags, exact[:, k] * lags[some]
             # The closed form's phase goes on beyond a turn; the others are near it.
             phase = path_gain_and_phase(order, breathing, P)[1] + np.angle(lags)
             plant = np.array([harmonic(measured[one][name], k) / 1e-3 for one in speeds])
