@@ -67,30 +67,28 @@ def design(system: PeriodicSystem, omega: float, step: float, multiplier: float,
     hurried = np.zeros((n, len(scaled)))
     if V.shape[1]:
         least = float(np.abs(np.linalg.eigvals(slow)).min())
-        hurried = V @ slow @ _moving(slow, scaled @ V, float(np.sqrt(modulus * least)), omega)
+        hurried = V @ slow @ moving_gain(slow, scaled @ V, float(np.sqrt(modulus * least)), omega)
         # x = X d goes with the periodic modes: of the plant as it now is, another X.
         together = solve_sylvester(alone - hurried @ scaled, -turned, -Phi[:n, n:])
-    on_modes = _moving(turned, scaled @ together, float(np.sqrt(modulus)), omega)
+    on_modes = moving_gain(turned, scaled @ together, float(np.sqrt(modulus)), omega)
     quick = Phi.copy()
     quick[:n, :n] -= hurried @ scaled
     predictor = quick @ np.vstack([together @ on_modes, on_modes])
     predictor[:n] += hurried
-    gain: Array = np.linalg.solve(Phi, predictor) / deviation
-    return gain
+    return np.asarray(np.linalg.solve(Phi, predictor) / deviation, dtype=np.float64)
 
 
-def _moving(Lambda: Array, seen: Array, rho: float, omega: float) -> Array:
+def moving_gain(Lambda: Array, seen: Array, rho: float, omega: float) -> Array:
     """K (q, p) that turns each mode lambda of z+ = Lambda z, y = `seen` z, into rho^2/conj(lambda); all are beyond rho.
 
     Raises ModelError: y does not see one of them.
     """
-    back = np.linalg.inv(Lambda / rho)
+    back = np.asarray(np.linalg.inv(Lambda / rho), dtype=np.float64)
     information = seen.T @ seen
     whole = summed(back.T, information)
     if not np.linalg.cond(whole) < 1.0 / np.finfo(float).eps:
         raise ModelError(f"no gains: at {omega:.6g} rad/s a mode that has to be moved is not seen by y")
-    K: Array = np.linalg.solve(whole, seen.T)
-    return K
+    return np.asarray(np.linalg.solve(whole, seen.T), dtype=np.float64)
 
 
 def _slow_part(alone: Array, modulus: float) -> tuple[Array, Array]:

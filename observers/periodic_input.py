@@ -20,7 +20,7 @@ from observers.periodic import (
     variance_gain,
 )
 from observers.periodic_design import design, meet
-from observers.periodic_model import NOTHING, Extra, Frame, Stage, chain_model, endings, parts_of
+from observers.periodic_model import NOTHING, Extra, Frame, Stage, chain_model, parts_of
 from observers.periodic_response import check_resolved
 from observers.periodic_schedule import GainLaw, Sampling, Schedule, certify, refined, schedule
 from observers.periodic_settings import (
@@ -38,6 +38,7 @@ from observers.periodic_settings import (
     require_seen,
     require_stable,
 )
+from observers.periodic_told import endings
 
 Array = NDArray[np.float64]
 

@@ -28,6 +28,7 @@ from observers.constant_gain import weights
 from observers.periodic import PeriodicSystem
 from observers.periodic_response import Pair, product, resolver, turns_of
 from observers.periodic_schedule import Schedule
+from observers.periodic_told import endings, sum_of, told_signals, told_values
 
 Array = NDArray[np.float64]
 
@@ -119,8 +120,6 @@ def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = NOTHING) -
     """
     resolve = [resolver(stage.system) for stage in stages]
     last = stages[-1].system
-    ends = endings(last.A0.shape[1])
-    units = [signal.unit for signal in frame.reconstructed]
 
     def sample(t: Any, x: Values, m: Values, u: Values, p: Values) -> dict[str, Any]:
         first = m.begun < 0.5
@@ -153,37 +152,19 @@ def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = NOTHING) -
             if j == 1:
                 names = [f"innovation{end}" for end in endings(len(innovation))]
                 updated |= dict(zip(names, innovation, strict=True))
-            y = _sum_of(coefficients, turning)
+            y = sum_of(coefficients, turning)
             states = [*state, *states]
         shift = turns_of(order * omega * p.delay, last.harmonics)
         moved = [[product(c, turn) for c in row] for row, turn in zip(coefficients, shift, strict=True)]
-        values = _sum_of(moved, turning)
-        updated |= dict(zip([signal.name for signal in frame.reconstructed], values, strict=True))
         updated |= {f"x_{i}": one for i, one in enumerate(states, start=1)}
-        for k, row in enumerate(moved):
-            for end, (re, im) in zip(ends, row, strict=True):
-                if k == 0:
-                    updated[f"c_0{end}"] = re
-                else:
-                    updated |= {f"c_{k}_re{end}": re, f"c_{k}_im{end}": im}
-                    updated[f"E_{k}{end}"] = np.sqrt(2.0 * (re * re + im * im))
+        updated |= told_values(frame.reconstructed, moved, turning)
         return updated | dict(extra.values(Reconstruction(moved, turning, omega), p))
 
     begins = [signal.start for signal in frame.reconstructed]
     if stages[-1].begin is not None:
         begins = stages[-1].begin[1].tolist()
-    outputs = [
-        Signal(signal.name, signal.unit, start, signal.description, signal.nominal)
-        for signal, start in zip(frame.reconstructed, begins, strict=True)
-    ]
-    for end, unit, start in zip(ends, units, begins, strict=True):
-        outputs.append(Signal(f"c_0{end}", unit, start, "mean of the reconstructed input"))
-        for k in range(1, last.harmonics + 1):
-            outputs.append(Signal(f"c_{k}_re{end}", unit, 0.0, f"real part of its coefficient at {k} per period"))
-            outputs.append(Signal(f"c_{k}_im{end}", unit, 0.0, f"imaginary part of its coefficient at {k} per period"))
-            outputs.append(Signal(f"E_{k}{end}", unit, 0.0, f"energy of harmonic {k}: sqrt(|c_k|^2 + |c_-k|^2)"))
     starts = [value for stage in reversed(stages) for value in _begin(stage)[0]]
-    state_unit = units[0] if len(stages) > 1 or len(starts) == 1 else "1"
+    state_unit = frame.reconstructed[0].unit if len(stages) > 1 or len(starts) == 1 else "1"
     innovations = [
         Signal(f"innovation{end}", signal.unit, 0.0, f"{signal.name}, measured less expected")
         for end, signal in zip(endings(len(frame.measured)), frame.measured, strict=True)
@@ -200,7 +181,7 @@ def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = NOTHING) -
             *frame.inputs,
         ),
         discrete=(
-            *outputs,
+            *told_signals(frame.reconstructed, begins, last.harmonics),
             *(Signal(f"x_{i}", state_unit, v, f"state {i}, the last sensor's last") for i, v in enumerate(starts, 1)),
             *innovations,
             Signal("multiplier", "1", frame.multiplier, "largest Floquet multiplier over a period, of all speeds"),
@@ -230,11 +211,6 @@ def chain_model(frame: Frame, stages: Sequence[Stage], extra: Extra = NOTHING) -
         sample=sample,
         sample_time="sample_time",
     )
-
-
-def endings(count: int) -> list[str]:
-    """What the names of several signals alike end in; nothing where there is one."""
-    return [""] if count == 1 else [f"_{j}" for j in range(1, count + 1)]
 
 
 def _begin(stage: Stage) -> tuple[Array, Array]:
@@ -282,14 +258,6 @@ def _at_rest(
 def _mix(share: Sequence[Any], table: Any) -> list[list[Any]]:
     _, rows, columns = table.shape
     return [[sum(w * table[(k, i, j)] for k, w in enumerate(share)) for j in range(columns)] for i in range(rows)]
-
-
-def _sum_of(coefficients: Sequence[Sequence[Pair]], turns: Sequence[Pair]) -> list[Any]:
-    """w = c_0 + 2 sum Re(c_k e^{i k w0 alpha}), (m,)."""
-    values = [re for re, _ in coefficients[0]]
-    for row, turn in zip(coefficients[1:], turns[1:], strict=True):
-        values = [v + 2.0 * product(c, turn)[0] for v, c in zip(values, row, strict=True)]
-    return values
 
 
 def _in_step(X: Sequence[Sequence[Sequence[Pair]]], held: list[list[Pair]], turns: Sequence[Pair]) -> list[Any]:

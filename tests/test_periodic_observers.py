@@ -13,7 +13,7 @@ from fmus.component import ConfigurationError
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.tracing import trace
-from observers import lag_inversion, periodic_input, rod_inversion
+from observers import fourier_least_squares, lag_inversion, periodic_input, rod_inversion
 from observers.periodic import input_row, responses, sampled_error, sampled_monodromy, sampled_multipliers
 from observers.periodic_schedule import Schedule
 
@@ -297,6 +297,7 @@ MODELS = {
     ),
     "rod_inversion": lambda: rod_inversion.make({"design": {"multiplier": 0.5}}, **ROD, harmonics=3),
     "rod in angle": lambda: rod_inversion.make({"published": {"per": "sample"}}, speed=SPEED, order=5.0),
+    "fourier_least_squares": lambda: fourier_least_squares.make(0.5, "[25, 20] ms", speed=SPEED, delay="5 ms"),
     "two inputs": lambda: periodic_input.make(
         A=[[-40, 5, 0], [0, -60, 3], [2, 0, -30]], A0=[[40, 0], [0, 60], [0, 1]], C=[[1, 0, 0], [0, 1, 0.5]],
         gains={"design": {"multiplier": 0.5, "noise": [1.0, 2.0]}}, harmonics=2, speed=SPEED,
@@ -328,10 +329,11 @@ def test_a_periodic_observers_fmu_is_its_python_source(name):
     estimator.component.close()
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", MODELS)
-def test_periodic_observers_keep_the_laws_of_components(name):
+def test_periodic_observers_keep_the_laws_of_components(name, fmi):
     model = MODELS[name]()
-    path = cached_fmu(model, 2)
+    path = cached_fmu(model, fmi)
     check_component(lambda: load_fmu(path, role="observer"))
 
 
@@ -350,6 +352,42 @@ def test_two_inputs_are_reconstructed_from_two_outputs():
         for k in (1, 2):
             assert row[f"c_{k}_re_{j}"] + 1j * row[f"c_{k}_im_{j}"] == pytest.approx(c[k, j - 1], abs=1e-8)
     estimator.component.close()
+
+
+def test_the_baseline_converges_to_the_same_input():
+    omega = 1500.0 * RPM
+    model = fourier_least_squares.make(0.3, "[25, 20] ms", speed=SPEED, delay="4 ms")
+    found = periods(model, at_rest(two_lags(0.025, 0.02), C3, omega), omega, T720, 30, 3)
+    upstream = C3 * np.exp(0.5j * np.arange(4) * omega * 0.004)
+    # What it knew at first is worth 1e-6 of a sample, and is forgotten by 0.3 a period.
+    np.testing.assert_allclose(found[-1], upstream, atol=1e-9)
+    # Nearly all is known after one period: least squares want 2h + 1 samples.
+    assert np.abs(found[0] - upstream).max() < 1e-4
+
+
+@pytest.mark.parametrize("system", [two_lags(0.025, 0.02), rod()], ids=["two lags", "rod"])
+def test_at_a_constant_speed_the_designed_observer_is_the_settled_baseline_beside_a_free_response(system):
+    # Their gains on the periodic modes are the same. With y in step from the first sample on they tell the same w.
+    omega, mu = 2000.0 * RPM, 0.5
+    setting = {"A": system.A.tolist(), "A0": system.A0.tolist(), "C": system.C.tolist(), "speed": SPEED,
+               "harmonics": system.harmonics, "period": f"{np.degrees(system.period)} deg"}  # fmt: skip
+    one = periodic_input.make(**setting, gains={"design": {"multiplier": mu}})
+    other = fourier_least_squares.make(mu, **setting)
+    truth = C3 if system.harmonics == 3 else C2
+    y, samples = at_rest(system, truth, omega), round(system.period / STEP)
+    generator = np.random.default_rng(8)
+    rows = []
+    first, second = Filter(one, STEP / omega), Filter(other, STEP / omega)
+    for k in range(60 * samples):
+        seen = {"y": y(k * STEP) + generator.normal(), "angle": 6.0 * k, "omega": omega}
+        rows.append((first(**seen)["w"], second(**seen)["w"]))
+    a, b = np.array(rows)[40 * samples :].T
+    first.component.close()
+    second.component.close()
+    # The tables of one lie on lines between nodes; alike to some per cent of what the noise does.
+    assert np.std(a - b) < 0.05 * np.std(a - np.mean(a))
+    tables = [{s.name: s.start for s in model.discrete}["variance_gain"] for model in (one, other)]
+    assert tables[0] == pytest.approx(tables[1], rel=0.05)
 
 
 BAD = {
@@ -418,6 +456,17 @@ def test_gains_that_do_not_converge_are_run_where_that_is_allowed():
     )
     starts = {signal.name: signal.start for signal in model.discrete}
     assert starts["multiplier"] == pytest.approx(1.05259, rel=1e-5)
+
+
+def test_the_baseline_refuses_what_it_cannot_do():
+    for setting, message in (
+        ({"multiplier": 0.3}, "wants time_constants, or A, A0 and C"),
+        ({"multiplier": 1.5, "time_constants": "25 ms"}, "multiplier wants a value from"),
+        ({"multiplier": 0.3, "time_constants": "[25, 0] ms"}, "time_constants wants times above 0 s"),
+        ({"multiplier": 0.3, "A": [[0]], "A0": [[1]], "C": [[1]]}, "harmonic k = 0 of the input is not observable"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            fourier_least_squares.make(**setting)
 
 
 def test_lags_are_refused_by_their_place():
