@@ -11,17 +11,6 @@ from fmus.component import Signal
 from fmus.crankcycle import CYCLE
 from fmus.model import Model, Values, unknown
 from observers.cycle_spectrum import HARMONICS, Sample, Spectrum, Sums, Windows, add_step, sums_signals
-from observers.exhaust_path import (
-    CYLINDERS,
-    INTERVAL,
-    Path,
-    Pattern,
-    conditioning,
-    deviations_of,
-    locate,
-    path_phasors,
-    pattern_of,
-)
 from observers.given import Complaints
 from observers.imbalance import (
     Held,
@@ -35,6 +24,18 @@ from observers.imbalance import (
     threshold_of,
     variances_of_means,
     variances_of_path,
+)
+from observers.path_inversion import (
+    CYLINDERS,
+    INTERVAL,
+    RAISED_COSINE,
+    Path,
+    Pattern,
+    conditioning,
+    deviations_of,
+    locate,
+    path_phasors,
+    pattern_of,
 )
 
 
@@ -54,14 +55,15 @@ def make(
     persistence: int = 1,
     firing_order: Sequence[int] = (1, 3, 4, 2),
     origin: Annotated[float, "deg"] = 0.0,
-    evo: Annotated[float, "deg"] = 140.0,
-    evc: Annotated[float, "deg"] = 370.0,
-    pulse: Annotated[float, "deg"] = 180.0,
+    evo: Annotated[float, "deg"] = 135.0,
+    evc: Annotated[float, "deg"] = 375.0,
+    pulse: Annotated[float | None, "deg"] = None,
     centre: Annotated[float | None, "deg"] = None,
     mixing_time: Annotated[float, "s"] = 0.0,
     mixing_angle: Annotated[float, "deg"] = 0.0,
     delay_time: Annotated[float, "s"] = 0.0,
     delay_angle: Annotated[float, "deg"] = 0.0,
+    cells: int = 0,
     lags: Annotated[Sequence[float] | float, "s"] = (),
     longest_step: Annotated[float, "deg"] = 60.0,
     sample_time: Annotated[float, "s"] = 0.0,
@@ -70,9 +72,9 @@ def make(
 
     Paper 004 (SAE 2006), From oscillations to imbalance diagnosis: `mean_i` is the mean of w from `evo` to `evc` after
     cylinder i's firing top dead centre, `E_k` = sqrt(|c_k|^2 + |c_-k|^2). `estimate` is what the decision rests on:
-    `exhaust_mean`, those means less their mean; or `path`, what `observers.exhaust_path.locate` makes of c_1..c_3, with
-    the path that `pulse`, `centre`, `mixing_*`, `delay_*` and `lags` describe (`observers.exhaust_path.Path`).
-    `centre` is `evo` + 90 deg where absent.
+    `exhaust_mean`, those means less their mean; or `path`, what `observers.path_inversion.locate` makes of c_1..c_3 with
+    the `pulse`, `centre`, `mixing_*`, `delay_*`, `cells` and `lags` of `observers.path_inversion.Path`. Where `centre` and
+    `pulse` are absent they are those of a raised cosine from `evo` to `evc`.
 
     `noise` is the standard deviation of white noise on w, `scatter` that of each cylinder's own AFR from cycle to cycle
     or, where the noise is not white, of the deviations themselves; both in the unit of w. The verdict is on where the
@@ -83,27 +85,30 @@ def make(
     """
     found = Complaints()
     lags = (lags,) if isinstance(lags, (int, float)) else tuple(lags)
-    estimators = {"path": _by_path, "exhaust_mean": _by_means}
+    estimators = {"path": _by_path(cells), "exhaust_mean": _by_means}
     if estimate not in estimators:
         found.add(f"estimate: {unknown(str(estimate), estimators, 'estimate')}")
     check_decision(firing_order, false_alarm_rate, persistence, sample_time, found)
     if not 0.0 < evc - evo < 360.0:
         told = "evc wants to come after evo, by less than 360 deg, over which means of opposite cylinders see the same"
         found.add(f"{told}; got {evo:g} to {evc:g} deg")
-    if not 0.0 < pulse < 360.0:
-        found.add(f"pulse wants more than 0 and less than 360 deg, where nothing is left of c_2, got {pulse:g} deg")
+    even = RAISED_COSINE * (evc - evo) if pulse is None else pulse
+    if not 0.0 < even < 360.0:
+        found.add(f"pulse wants more than 0 and less than 360 deg, where nothing is left of c_2, got {even:g} deg")
     named = {"mixing_time": mixing_time, "mixing_angle": mixing_angle, "delay_time": delay_time}
     spans = {**named, "delay_angle": delay_angle, **{f"lags[{i}]": tau for i, tau in enumerate(lags, start=1)}}
     for name, value in {**spans, "noise": noise, "scatter": scatter}.items():
         if not 0.0 <= value < np.inf:
             found.add(f"{name} wants 0 or more, got {value:g}")
+    if cells < 0:
+        found.add(f"cells wants 0, a true delay, or more, got {cells}")
     if noise == 0.0 and scatter == 0.0:
         found.add("noise and scatter want one above 0: without either every deviation is a fault")
     # The harmonics of a cycle want seven samples at least.
     if not 0.0 < longest_step <= 90.0:
         found.add(f"longest_step wants more than 0 deg and 90 deg at most, got {longest_step:g} deg")
     found.end()
-    middle = evo + INTERVAL / 2.0 if centre is None else centre
+    middle = (evo + evc) / 2.0 if centre is None else centre
     return _model(
         estimators[estimate],
         list(firing_order),
@@ -115,7 +120,7 @@ def make(
             Signal("origin", "deg", origin, "firing top dead centre of the first cylinder in firing order"),
             Signal("evo", "deg", evo, "exhaust valve opens, after firing top dead centre"),
             Signal("evc", "deg", evc, "exhaust valve closes, after firing top dead centre"),
-            Signal("pulse", "deg", pulse, "over which a cylinder's charge passes"),
+            Signal("pulse", "deg", even, "over which a cylinder's charge passes"),
             Signal("centre", "deg", middle, "middle of the pulse, after firing top dead centre"),
             Signal("mixing_time", "s", mixing_time, "mixing of the manifold, what is fixed in time"),
             Signal("mixing_angle", "deg", mixing_angle, "mixing of the manifold, what is fixed in crank angle"),
@@ -128,20 +133,20 @@ def make(
     )
 
 
-def _by_path(spectrum: Spectrum, p: Values) -> Estimate:
-    phasors = path_phasors(_path(p), spectrum.omega)
-    pattern = locate(spectrum.real[1:], spectrum.imaginary[1:], phasors)
-    variances = variances_of_path(phasors, p.noise, spectrum.share, p.scatter)
-    return Estimate(pattern, variances, conditioning(phasors))
+def _by_path(cells: int) -> Callable[[Spectrum, Values], Estimate]:
+    def estimate(spectrum: Spectrum, p: Values) -> Estimate:
+        path = Path(p.centre, p.pulse, p.mixing_time, p.mixing_angle, p.delay_time, p.delay_angle, list(p.lags), cells)
+        phasors = path_phasors(path, spectrum.omega)
+        pattern = locate(spectrum.real[1:], spectrum.imaginary[1:], phasors)
+        variances = variances_of_path(phasors, p.noise, spectrum.share, p.scatter)
+        return Estimate(pattern, variances, conditioning(phasors))
+
+    return estimate
 
 
 def _by_means(spectrum: Spectrum, p: Values) -> Estimate:
     variances = variances_of_means(p.evc - p.evo, p.noise, CYCLE * spectrum.share, p.scatter)
     return Estimate(pattern_of(spectrum.means), variances, 1.0)
-
-
-def _path(p: Values) -> Path:
-    return Path(p.centre, p.pulse, p.mixing_time, p.mixing_angle, p.delay_time, p.delay_angle, list(p.lags))
 
 
 def _model(

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from observers.exhaust_path import CYLINDERS, Pattern, Phasor
 from observers.given import Complaints
+from observers.path_inversion import CYLINDERS, Pattern, Phasor
 
 DEGREES_OF_FREEDOM = CYLINDERS - 1
 
@@ -49,7 +49,7 @@ def threshold_of(false_alarm_rate: float) -> float:
 
 
 def variances_of_path(phasors: Sequence[Phasor], noise: Any, share: Any, scatter: Any) -> Variances:
-    """The variances of `observers.exhaust_path.locate`, of white noise on w and of cylinders that scatter.
+    """The variances of `observers.path_inversion.locate`, of white noise on w and of cylinders that scatter.
 
         E|D_1|^2 = s^2/(|g_1|^2 + |g_3|^2) + 4 f^2,   E D_2^2 = s^2/(2 |g_2|^2) + 4 f^2
 

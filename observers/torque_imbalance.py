@@ -10,9 +10,9 @@ import numpy as np
 from fmus.component import Signal
 from fmus.crankcycle import passes
 from fmus.model import Model, Values
-from observers.exhaust_path import CYLINDERS, INTERVAL
 from observers.given import Complaints
 from observers.imbalance import Held, check_decision, largest, persist, threshold_of
+from observers.path_inversion import CYLINDERS, INTERVAL
 
 COEFFICIENTS = ("c_1_re", "c_1_im", "c_2_re", "c_2_im")
 

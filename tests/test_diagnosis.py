@@ -10,7 +10,6 @@ from scipy.stats import binom, chi2, ncx2
 from fmus.component import ConfigurationError
 from fmus.model import Model
 from observers import diagnosis
-from observers.exhaust_path import Path, Pattern, deviations_of, harmonics_of, locate, path_phasors, pattern_of
 from observers.imbalance import (
     Held,
     Variances,
@@ -23,11 +22,12 @@ from observers.imbalance import (
     variances_of_means,
     variances_of_path,
 )
+from observers.path_inversion import Path, Pattern, deviations_of, harmonics_of, locate, path_phasors, pattern_of
 
 ORDER = (1, 3, 4, 2)
 AFR = 20.0
 MIXING, DELAY, LAGS = 0.03, 100.0, [0.025, 0.02]  # s, deg, s
-PATH = {"mixing_time": MIXING, "delay_angle": DELAY, "lags": LAGS}
+PATH = {"centre": 230.0, "pulse": 180.0, "mixing_time": MIXING, "delay_angle": DELAY, "lags": LAGS}
 BARE = Path(230.0, 180.0)
 EVC_ALIGNED = {"evo": 150.0, "evc": 390.0}
 
@@ -306,7 +306,7 @@ def test_all_that_is_wrong_with_the_arguments_is_told_at_once():
     with pytest.raises(ConfigurationError) as told:
         diagnosis.make(
             estimate="paths", noise=-1.0, scatter=0.0, false_alarm_rate=2.0, persistence=0, firing_order=[1, 2, 2, 4],
-            evo=140.0, evc=520.0, pulse=360.0, mixing_time=-0.1, lags=[0.02, -0.01], longest_step=120.0,
+            evo=140.0, evc=520.0, pulse=360.0, mixing_time=-0.1, cells=-1, lags=[0.02, -0.01], longest_step=120.0,
             sample_time=-1.0,
         )  # fmt: skip
     text = str(told.value)
@@ -315,6 +315,7 @@ def test_all_that_is_wrong_with_the_arguments_is_told_at_once():
         "false_alarm_rate wants more than 0 and less than 1 per cycle, got 2", "persistence wants 1 cycle or more",
         "firing_order wants cylinders 1 to 4 once each, like [1, 3, 4, 2], got [1, 2, 2, 4]", "got 140 to 520 deg",
         "pulse wants more than 0 and less than 360 deg", "mixing_time wants 0 or more", "lags[2] wants 0 or more",
+        "cells wants 0, a true delay, or more, got -1",
         "longest_step wants more than 0 deg and 90 deg at most, got 120 deg", "sample_time wants 0 s",
     ):  # fmt: skip
         assert part in text, (part, text)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from observers.exhaust_path import (
+from observers.path_inversion import (
     Path,
     Pattern,
     conditioning,
@@ -57,6 +57,21 @@ def test_the_harmonics_are_those_of_a_simulated_path(rpm):
     found = harmonics_of(deviations, PATH, omega)
     # The aliases of 1440 samples of a signal whose harmonics fall with k^-4 are below 1e-9 of it.
     np.testing.assert_allclose(found, simulated(deviations, PATH, omega), rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("cells", [1, 10])
+def test_cells_in_a_row_are_lags_that_share_the_delay(cells):
+    omega = 157.0
+    delay = PATH.delay_time + np.radians(PATH.delay_angle) / omega
+    wanted = path_phasors(PATH._replace(delay_time=0.0, delay_angle=0.0, lags=(*LAGS, *[delay / cells] * cells)), omega)
+    for g, one in zip(path_phasors(PATH._replace(cells=cells), omega), wanted, strict=True):
+        assert g == pytest.approx(one, rel=1e-12)
+
+
+def test_very_many_cells_are_a_true_delay():
+    for g, one in zip(path_phasors(PATH._replace(cells=10_000), 157.0), path_phasors(PATH, 157.0), strict=True):
+        # Of n cells the gain is that of e^{-i x} to x^2/(2 n), here 3e-4, the phase to x^3/(3 n^2).
+        assert g == pytest.approx(one, rel=1e-3)
 
 
 @pytest.mark.parametrize("pulse", [30.0, 120.0, 180.0, 300.0])

@@ -1,4 +1,4 @@
-"""From the AFR of four cylinders to the harmonics of what reaches a sensor, and back: the closed form of the path."""
+"""From the harmonics of what reaches a sensor back to the AFR of four cylinders: the path between in closed form."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from fmus.crankcycle import CYCLE
 CYLINDERS = 4
 INTERVAL = CYCLE / CYLINDERS  # deg
 RADIANS = np.pi / 180.0  # rad/deg
+RAISED_COSINE = float(np.sqrt(1.0 - 6.0 / np.pi**2))  # length of the even pulse that is spread alike, over its length
 
 
 class Path(NamedTuple):
@@ -21,6 +22,10 @@ class Path(NamedTuple):
     Each cylinder's charge passes evenly over `pulse` [deg], the middle of which is `centre` [deg] after its firing top
     dead centre. It mixes with the time constant `mixing_time` [s] + `mixing_angle`/omega, arrives `delay_time` [s] +
     `delay_angle`/omega later, and goes through first-order lags of the time constants `lags` [s], those of a sensor.
+    The delay is a true one, or that of so many `cells` in a row that each mix, where these are above 0.
+
+    A pulse of another shape is much as an even one of the same centre and spread: a raised cosine over L as one of
+    sqrt(1 - 6/pi^2) L = 0.626 L (`RAISED_COSINE`), for 240 deg to 1 % of the second harmonic and 6 % of the third.
 
     Of a manifold that holds the mass m at a flow W, the mixing takes m/W; where m stays as it is and the cylinders
     exhaust m_exh each, that is a crank angle, 180 deg m/m_exh. What goes with the gas is fixed in angle, what is a
@@ -34,6 +39,7 @@ class Path(NamedTuple):
     delay_time: Any = 0.0
     delay_angle: Any = 0.0
     lags: Sequence[Any] = ()
+    cells: int = 0
 
 
 class Phasor(NamedTuple):
@@ -62,17 +68,21 @@ def path_phasors(path: Path, omega: Any) -> list[Phasor]:
         g_k = 1/4 sin(x_k)/x_k e^{-i k W a_c/omega} e^{-i k W t_d}/(1 + i k W t_m) prod_j 1/(1 + i k W t_j)
 
     with W = omega/2 the frequency of the cycle, x_k = k pi pulse/720 deg, a_c = `centre`, t_m the mixing's and t_j the
-    sensor's time constants, t_d the delay. Pulses of 180 deg are a staircase whose steps are the cylinders.
+    sensor's time constants, t_d the delay; of n cells 1/(1 + i k W t_d/n)^n stands for e^{-i k W t_d}. Pulses of 180
+    deg are a staircase whose steps are the cylinders.
     """
     cycle = omega / 2.0
     mixing = path.mixing_time + path.mixing_angle * RADIANS / omega
-    delay = path.delay_time + (path.centre + path.delay_angle) * RADIANS / omega
+    delay = path.delay_time + path.delay_angle * RADIANS / omega
+    cells = [delay / max(path.cells, 1)] * path.cells
     found = []
     for k in range(1, CYLINDERS):
         x = k * np.pi * path.pulse / CYCLE
         size: Any = np.sin(x) / (4.0 * x)
-        angle: Any = -k * cycle * delay
-        for tau in (mixing, *path.lags):
+        angle: Any = -k * path.centre * RADIANS / 2.0
+        if not cells:
+            angle = angle - k * cycle * delay
+        for tau in (mixing, *cells, *path.lags):
             size = size / np.sqrt(1.0 + (k * cycle * tau) ** 2)
             angle = angle - np.arctan(k * cycle * tau)
         found.append(Phasor(size, angle))
