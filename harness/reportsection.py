@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
+from harness.ofobservers import Pattern, of_observer
 from harness.places import KeyPath
 from harness.quantity import Measure, Quantity, Strict
+from harness.reportfigures import Figure
 from selection.methods import Method
 
 
@@ -18,18 +20,6 @@ class ReportedObserver(Strict):
 
     title: str = ""
     metrics: list[str] = Field(default_factory=list)
-
-
-class Figure(Strict):
-    """Signals over time, one panel a list of signals."""
-
-    title: str
-    experiment: str | None = Field(None, description="its first case is drawn; the campaign's first where absent")
-    traces: list[list[str]] = Field(min_length=1, description="one list of signals a panel")
-    lines: dict[str, str] = Field(default_factory=dict, description="value with unit: name of a horizontal line")
-    unit: str | None = None
-    start: Quantity | None = Field(None, alias="from", description="the time the figure begins at")
-    until: Quantity | None = Field(None, alias="to", description="the time it ends at")
 
 
 class Published(Strict):
@@ -44,16 +34,8 @@ class Published(Strict):
 
 
 Better = Literal["lower", "higher"]
-OBSERVER = "{observer}"
 # Of fewer observers a rank correlation says nothing.
 FEWEST_RANKED = 3
-
-
-def read_pattern(text: str) -> str:
-    """The name of a metric with `{observer}` in the place of each observer's name."""
-    if text.count(OBSERVER) != 1 or set("{}") & set(text.replace(OBSERVER, "")):
-        raise ValueError(f"wants the name of a metric with {OBSERVER} in it once, got '{text}'")
-    return text
 
 
 class RankedMeasure(Strict):
@@ -80,9 +62,7 @@ class Ranking(Strict):
     """
 
     title: str
-    metric: Annotated[str, AfterValidator(read_pattern)] = Field(
-        description="each observer's metric, like rmse_{observer}"
-    )
+    metric: Pattern = Field(description="each observer's metric, like rmse_{observer}")
     better: Better = Field("lower", description="which values of the metric are the better ones")
     experiments: list[str] = Field(default_factory=list, description="whose cases count; all where absent")
     measures: dict[str, RankedMeasure] = Field(min_length=1)
@@ -92,7 +72,7 @@ class Ranking(Strict):
 
     def metric_of(self, observer: str) -> str:
         """The metric of an observer."""
-        return self.metric.replace(OBSERVER, observer)
+        return of_observer(self.metric, observer)
 
     def observers(self) -> list[str]:
         """Everyone that a measure says something of."""
