@@ -98,8 +98,16 @@ def _units(campaign: Campaign, name: str, signals: Mapping[str, Signal]) -> dict
 
 
 def _criterion_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
-    for index, criterion in enumerate(campaign.criteria):
+    accepted = [
+        ("accept", criterion, ("accept", index, criterion.experiment))
+        for index, criterion in enumerate(campaign.criteria)
+    ]
+    stated = [
+        ("holds", criterion, ("report", "published", index, "holds"))
+        for index, criterion in campaign.statements.items()
+    ]
+    for section, criterion, where in [*accepted, *stated]:
         sides = [side.metric for side in (criterion.left, criterion.right) if side.metric]
         message = bound_misfit(criterion, units) if all(metric in units for metric in sides) else ""
         if message:
-            yield place_at(f"accept: {message}", campaign.places.of(("accept", index, criterion.experiment)), 0)
+            yield place_at(f"{section}: {message}", campaign.places.of(where), 0)

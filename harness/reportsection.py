@@ -23,13 +23,14 @@ class ReportedObserver(Strict):
 
 
 class Published(Strict):
-    """A value from the paper beside ours."""
+    """A value or a statement from the paper beside ours."""
 
     what: str
     published: Any
     ours: Any = Field(None, description="what stands beside it where no metric does")
     metric: str | None = None
     experiment: str | None = None
+    holds: str | None = Field(None, description="the statement as a criterion, which is judged but never fails the run")
     note: str = ""
 
 

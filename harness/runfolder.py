@@ -1,4 +1,4 @@
-"""Writes and reads back what a run folder holds: campaign.json, the cases, metrics.csv, verdicts, rankings."""
+"""Writes and reads back what a run folder holds: campaign.json, the cases, metrics.csv, verdicts."""
 
 from __future__ import annotations
 
@@ -155,11 +155,6 @@ def write_metrics(folder: Path, cases: Iterable[Judged], definitions: Mapping[st
 def write_acceptance(folder: Path, verdicts: Iterable[Verdict]) -> None:
     """acceptance.json: one entry a criterion."""
     write_json(folder / "acceptance.json", [asdict(verdict) for verdict in verdicts])
-
-
-def write_rankings(folder: Path, rankings: Sequence[Mapping[str, Any]]) -> None:
-    """rankings.json: one entry a ranking."""
-    write_json(folder / "rankings.json", rankings)
 
 
 def write_campaign(folder: Path, campaign: Campaign) -> None:

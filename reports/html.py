@@ -17,10 +17,11 @@ from fmus.units import parse_unit
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
 from reports.definitions import definitions
-from reports.errors import Errors, declared_confusions, pool, samples_of
+from reports.errors import Errors, declared_confusions, nearest_rank, pool, samples_of
 from reports.folder import Case, Run, RunFolderError, read_run
 from reports.interactive import interactive, points_a_trace
 from reports.page import page_of
+from reports.published import published
 from reports.rankings import read_rankings
 from reports.scatter import scatter
 from reports.selection import METHODS, SelectionError, best, drawings, read_selection
@@ -87,7 +88,7 @@ def render(run: Run) -> str:
         ],
         detections=_detections(run),
         delays=_delays(run),
-        published=_published(run),
+        published=published(run),
         selection=_selection(run),
         cases_listed=run.cases if len(run.cases) <= CASES_LISTED else (),
         metric_names=run.metric_names(),
@@ -178,8 +179,8 @@ def _detections(run: Run) -> list[dict[str, Any]]:
                         "failed": sum(not case.complete for case in cases),
                         "changes": len(pooled),
                         "missed": int(np.isinf(pooled).sum()),
-                        "median": _nearest_rank(pooled, 0.5),
-                        "p95": _nearest_rank(pooled, 0.95),
+                        "median": nearest_rank(pooled, 0.5),
+                        "p95": nearest_rank(pooled, 0.95),
                         "unit": standing.unit_of(run, f"{name}.delay"),
                         "alarms": _mean(cases, rate),
                         "alarms_unit": standing.unit_of(run, rate),
@@ -212,29 +213,6 @@ def _in(unit: str, wanted: str) -> float:
 def _detection_names(run: Run) -> list[str]:
     sampled = {name for case in run.cases for name in case.samples if name.endswith(".delay")}
     return [name for name in definitions(run) if f"{name}.delay" in sampled]
-
-
-def _published(run: Run) -> list[dict[str, Any]]:
-    rows = []
-    for entry in (run.campaign.get("report") or {}).get("published") or ():
-        metric, experiment = str(entry.get("metric") or ""), entry.get("experiment")
-        cases = [case for case in run.cases if experiment in (None, case.experiment)]
-        values = [case.metrics[metric].value for case in cases if metric in case.metrics]
-        values = [value for value in values if not math.isnan(value)] or list(samples_of(run, metric, cases))
-        unit = standing.unit_of(run, metric)
-        ours = str(entry["ours"]) if entry.get("ours") is not None else "see the figures"
-        ours = f"{metric}: no case of {experiment or 'the campaign'} has it" if metric else ours
-        if len(values) == 1:
-            ours = numbers.with_unit(values[0], unit)
-        elif values:
-            spread = f"{numbers.short(min(values))} to {numbers.short(max(values))}"
-            ours = f"{numbers.with_unit(_nearest_rank(values, 0.5), unit)} (median of {len(values)}; {spread})"
-        rows.append({"experiment": "", "note": "", **entry, "ours": ours})
-    return rows
-
-
-def _nearest_rank(values: Sequence[float] | np.ndarray, share: float) -> float:
-    return float(np.quantile(values, share, method="inverted_cdf")) if len(values) else math.nan
 
 
 def _mean(cases: Iterable[Case], metric: str) -> float:

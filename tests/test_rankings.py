@@ -19,7 +19,7 @@ from harness.operating import Operation
 from harness.preflight import preflight
 from harness.rankings import correlate, median_cost, rankings_content, spearman
 from harness.reportsection import Ranking
-from harness.runfolder import plain, write_rankings
+from harness.runfolder import plain, write_json
 from harness.selecting import SHOWN, select
 from harness.wishes import Wishes
 from reports.folder import RunFolderError, read_run
@@ -258,7 +258,7 @@ def test_metrics_of_two_units_are_not_ranked_together(tmp_path):
 
 def test_a_damaged_rankings_file_is_named(tmp_path):
     folder = build_run(tmp_path / "run")
-    write_rankings(folder, [{"title": "only"}])
+    write_json(folder / "rankings.json", [{"title": "only"}])
     with pytest.raises(RunFolderError, match=r"rankings\.json: an entry is not what a ranking wants: KeyError"):
         read_rankings(read_run(folder))
 
