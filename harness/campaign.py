@@ -12,6 +12,7 @@ from typing import Any
 
 from fmus.component import ConfigurationError, Problem
 from fmus.model import unknown
+from harness.axes import axis_problems
 from harness.campaignfile import CampaignFile
 from harness.criteria import Criterion
 from harness.definitions import Definition
@@ -83,6 +84,8 @@ def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
     criteria = list(read_criteria(document, places, problems))
     statements = read_statements(document, places, problems)
     problems += reference_problems(document, places)
+    if checked is not None and not of_cases:
+        problems += axis_problems(checked.report, cases, places)
     if problems or checked is None:
         raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda one: (one.file, one.line, one.column)))
     return Campaign(

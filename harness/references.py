@@ -13,9 +13,10 @@ from harness.campaignfile import Limits
 from harness.criteria import Criterion, CriterionError, parse_criterion
 from harness.definitions import Definition, results
 from harness.expansion import ROOTS
+from harness.ofobservers import of_observer
 from harness.places import KeyPath, Place, Places
 from harness.reportsection import ReportSection
-from harness.validation import validate
+from harness.validation import nearest_hint, validate
 
 
 def name_problems(document: Mapping[str, Any], places: Places) -> Iterator[Problem]:
@@ -128,7 +129,11 @@ def reference_problems(document: Mapping[str, Any], places: Places) -> Iterator[
     }
     report, _ = validate(ReportSection, _mapping(document, "report"), places)
     for path, kind, name in report.references() if report is not None else ():
-        if name not in names[kind]:
+        if kind == "pattern":
+            if not any(of_observer(name, part) in names["value"] for part in names["part"]):
+                message = f"report: no part has a metric named like '{name}'{nearest_hint(name, names['value'])}"
+                yield places.problem(message, "report", *path)
+        elif name not in names[kind]:
             called = "metric with one value a case" if kind == "value" else kind
             yield places.problem(f"report: {unknown(name, names[kind], called)}", "report", *path)
     limits, _ = validate(Limits, _mapping(document, "limits"), places)

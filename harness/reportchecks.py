@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Protocol
 
 from fmus.component import Problem, Signal
 from harness.arguments import NO_CRANK_ANGLE, dimension
 from harness.campaign import Campaign
+from harness.definitions import Definition
 from harness.places import KeyPath
+from harness.reportaxes import Power
 from harness.validation import nearest_hint
 
 Signals = Mapping[str, Mapping[str, Signal]]
 Apart = Mapping[str, float | None]
+
+
+# The values of a metric, by its kind, that are shares from 0 to 1 whatever they are measured on.
+SHARES: Mapping[str, Sequence[str]] = {
+    "accuracy": [""],
+    "share_within": [""],
+    "detection": ["accuracy"],
+    "alarm": ["true_positive_rate", "false_positive_rate"],
+}
+# Of these the values of the signal tell, after the run.
+OF_ONE_SIGNAL = ("final", "minimum", "maximum", "mean")
 
 
 class OverAngle(Protocol):
@@ -59,6 +72,37 @@ def _angle_problems(
     elif angle is None and drawn.wants_crank and apart is None:
         key = "over" if getattr(drawn, "over", "time") != "time" else "from"
         yield campaign.places.problem(f"report: {key} {NO_CRANK_ANGLE}", *at, key)
+
+
+def axis_metric_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
+    """Metrics of a curve that are not in one unit, and those of a power that are no shares."""
+    parts = dict.fromkeys(part for case in campaign.cases for part in case.scenario.parts)
+    for section, entries in campaign.report.against_axes().items():
+        for index, asked in enumerate(entries):
+            names = [name for name in map(asked.metric_of, asked.named(parts, units)) if name in units]
+            for name in names:
+                if isinstance(asked, Power):
+                    message = _no_share(campaign.metrics, name, units[name])
+                else:
+                    message = _two_units(names[0], name, units)
+                if message:
+                    yield campaign.places.problem(f"report: {message}", "report", section, index, "metric")
+
+
+def _two_units(first: str, name: str, units: Mapping[str, str]) -> str:
+    one, other = units[first], units[name]
+    return "" if one == other else f"wants metrics of one unit, got {first} in {one} and {name} in {other}"
+
+
+def _no_share(metrics: Mapping[str, Definition], name: str, unit: str) -> str:
+    """What is wrong with a metric as a share, as far as its kind and unit tell; empty where nothing is."""
+    metric, _, value = name.partition(".")
+    kind = metrics[metric].kind_name
+    known = kind == "confusion" or value in SHARES.get(kind, ())
+    if known or (kind in OF_ONE_SIGNAL and dimension(unit) == dimension("1")):
+        return ""
+    told = f"{', '.join(sorted({*SHARES, 'confusion'}))}, or {', '.join(OF_ONE_SIGNAL)} of a plain number"
+    return f"wants a metric that is a share from 0 to 1, of {told}, got {name}, a {kind} in {unit}"
 
 
 def ranking_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:

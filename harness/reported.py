@@ -9,9 +9,11 @@ from typing import Any
 
 from harness.campaign import Campaign
 from harness.criteria import Criterion, Judged, judge
+from harness.curves import curves_content
+from harness.definitions import results
 from harness.runfolder import write_json
 
-FILES = ("rankings.json", "statements.json")
+FILES = ("curves.json", "powers.json", "rankings.json", "statements.json")
 
 
 def write_reported(folder: Path, campaign: Campaign, cases: Sequence[Judged], units: Mapping[str, str]) -> None:
@@ -19,6 +21,16 @@ def write_reported(folder: Path, campaign: Campaign, cases: Sequence[Judged], un
     report = campaign.report
     if campaign.statements:
         write_json(folder / "statements.json", statements_content(campaign.statements, cases, units))
+    parts = dict.fromkeys(part for case in campaign.cases for part in case.scenario.parts)
+    values = results(campaign.metrics)
+    if report.curves:
+        observers = [curve.named(parts, values) for curve in report.curves]
+        write_json(folder / "curves.json", curves_content(report.curves, cases, observers, units))
+    if report.powers:
+        from harness.powers import powers_content  # as below
+
+        observers = [power.named(parts, values) for power in report.powers]
+        write_json(folder / "powers.json", powers_content(report.powers, cases, observers))
     if report.rankings:
         from harness.rankings import rankings_content  # with what it imports, every worker would pay for it
 

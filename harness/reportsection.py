@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from pydantic import Field, model_validator
 
 from harness.ofobservers import Pattern, of_observer
 from harness.places import KeyPath
 from harness.quantity import Measure, Quantity, Strict
+from harness.reportaxes import Better, Curve, Power
 from harness.reportfigures import Figure
 from selection.methods import Method
 
@@ -34,7 +35,6 @@ class Published(Strict):
     note: str = ""
 
 
-Better = Literal["lower", "higher"]
 # Of fewer observers a rank correlation says nothing.
 FEWEST_RANKED = 3
 
@@ -101,11 +101,20 @@ class ReportSection(Strict):
     observers: dict[str, ReportedObserver] = Field(default_factory=dict)
     figures: list[Figure] = Field(default_factory=list)
     published: list[Published] = Field(default_factory=list)
+    curves: list[Curve] = Field(default_factory=list)
+    powers: list[Power] = Field(default_factory=list)
     rankings: list[Ranking] = Field(default_factory=list)
     selection: ReportedSelection | None = None
 
+    def against_axes(self) -> Mapping[str, Sequence[Curve | Power]]:
+        """What is drawn against axes of the campaign, by the key it stands under."""
+        return {"curves": self.curves, "powers": self.powers}
+
     def references(self) -> Iterator[tuple[KeyPath, str, str]]:
-        """(where, metric or experiment or part or value, name) for every name that must exist in the campaign."""
+        """(where, kind, name) of every name that must exist in the campaign: a metric, experiment, part or value.
+
+        Of the kind `pattern` some part must have a metric named so.
+        """
         for part, observer in self.observers.items():
             yield ("observers", part), "part", part
             for index, metric in enumerate(observer.metrics):
@@ -118,6 +127,15 @@ class ReportSection(Strict):
                 yield ("published", index, "metric"), "metric", entry.metric
             if entry.experiment is not None:
                 yield ("published", index, "experiment"), "experiment", entry.experiment
+        for section, entries in self.against_axes().items():
+            for index, asked in enumerate(entries):
+                for position, experiment in enumerate(asked.experiments):
+                    yield (section, index, "experiments", position), "experiment", experiment
+                for position, named in enumerate(asked.observers):
+                    yield (section, index, "observers", position), "part", named
+                    yield (section, index, "observers", position), "value", asked.metric_of(named)
+                if not asked.observers:
+                    yield (section, index, "metric"), "pattern", asked.metric
         for index, ranking in enumerate(self.rankings):
             for position, experiment in enumerate(ranking.experiments):
                 yield ("rankings", index, "experiments", position), "experiment", experiment

@@ -138,7 +138,7 @@ def judged(folder: Path, case: Case) -> Judged:
         name: [math.inf if sample is None else sample for sample in values]
         for name, values in (found.get("samples") or {}).items()
     }
-    return Judged(case.key, case.label, case.experiment, str(found.get("outcome", "")), metrics, samples)
+    return Judged(case.key, case.label, case.experiment, str(found.get("outcome", "")), metrics, samples, case.values)
 
 
 def write_metrics(folder: Path, cases: Iterable[Judged], definitions: Mapping[str, Definition]) -> None:

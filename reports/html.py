@@ -16,16 +16,18 @@ from plotly.offline import get_plotlyjs
 from fmus.units import parse_unit
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
+from reports.curves import draw_curve, read_curves
 from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, nearest_rank, pool, samples_of
 from reports.folder import Case, Run, RunFolderError, read_run
 from reports.interactive import interactive, points_a_trace
 from reports.page import page_of
+from reports.powers import draw_power, read_powers
 from reports.published import published
 from reports.rankings import read_rankings
 from reports.scatter import scatter
 from reports.selection import METHODS, SelectionError, best, drawings, read_selection
-from reports.traces import TRUTH_COLOUR, declared_figures, part_colours
+from reports.traces import TRUTH_COLOUR, colours_of, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
 # More scenarios than this are drawn by experiment only, more cases than this are listed in metrics.csv only, and a
@@ -69,6 +71,14 @@ def render(run: Run) -> str:
         heat_maps=[(quantity, Markup(_heat_map(run, quantity, f"heat{n}"))) for n, quantity in enumerate(comparable)]
         if len(standing.scenarios(run)) > 1
         else [],
+        curves=[
+            (curve, Markup(draw_curve(curve, titles, colours_of(run, list(curve.panels[0].lines)), f"curve{n}")))
+            for n, curve in enumerate(read_curves(run))
+        ],
+        powers=[
+            (power, Markup(draw_power(power, titles, colours_of(run, power.observers), f"power{n}")))
+            for n, power in enumerate(read_powers(run))
+        ],
         rankings=[(ranking, Markup(scatter(ranking, f"ranking{n}"))) for n, ranking in enumerate(read_rankings(run))],
         figures=[
             (

@@ -89,6 +89,14 @@ def part_colours(run: Run) -> dict[str, str]:
     return {part: COLOURS[index % len(COLOURS)] for index, part in enumerate(observers(run))}
 
 
+def colours_of(run: Run, parts: Sequence[str]) -> dict[str, str]:
+    """A colour for each of the parts: that of an observer in all figures, for others those that are left, in turn."""
+    known = part_colours(run)
+    spare = [colour for colour in COLOURS if colour not in known.values()] or list(COLOURS)
+    others = [part for part in parts if part not in known]
+    return {**known, **{part: spare[index % len(spare)] for index, part in enumerate(others)}}
+
+
 def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
     title, experiment = str(entry.get("title") or "Signals"), entry.get("experiment")
     cases = [case for case in run.cases if experiment in (None, case.experiment)]
