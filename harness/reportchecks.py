@@ -9,6 +9,7 @@ from fmus.component import Problem, Signal
 from harness.arguments import NO_CRANK_ANGLE, dimension
 from harness.campaign import Campaign
 from harness.definitions import Definition
+from harness.ofobservers import of_observer
 from harness.places import KeyPath
 from harness.reportaxes import Power
 from harness.validation import nearest_hint
@@ -91,7 +92,7 @@ def axis_metric_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterat
 
 def _two_units(first: str, name: str, units: Mapping[str, str]) -> str:
     one, other = units[first], units[name]
-    return "" if one == other else f"wants metrics of one unit, got {first} in {one} and {name} in {other}"
+    return "" if one == other else f"wants one unit, got {first} in {one} and {name} in {other}"
 
 
 def _no_share(metrics: Mapping[str, Definition], name: str, unit: str) -> str:
@@ -106,12 +107,17 @@ def _no_share(metrics: Mapping[str, Definition], name: str, unit: str) -> str:
 
 
 def ranking_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
-    """Metrics of a ranking that are not in the unit of its first."""
+    """Metrics of a ranking, and those of a measure in it, that are not in the unit of the first."""
     for index, ranking in enumerate(campaign.report.rankings):
-        names = [name for name in map(ranking.metric_of, ranking.observers()) if name in units]
-        for name in names:
-            if units[name] != units[names[0]]:
-                message = (
-                    f"report: a ranking wants one unit, got {names[0]} in {units[names[0]]} and {name} in {units[name]}"
-                )
-                yield campaign.places.problem(message, "report", "rankings", index, "metric")
+        at: KeyPath = ("report", "rankings", index)
+        asked: list[tuple[KeyPath, list[str]]] = [(("metric",), list(map(ranking.metric_of, ranking.observers())))]
+        for name, measure in ranking.measures.items():
+            if measure.metric is not None:
+                of_measure = [of_observer(measure.metric, observer) for observer in measure.named]
+                asked.append((("measures", name, "metric"), of_measure))
+        for key, metrics in asked:
+            names = [metric for metric in metrics if metric in units]
+            for metric in names:
+                message = _two_units(names[0], metric, units)
+                if message:
+                    yield campaign.places.problem(f"report: a ranking {message}", *at, *key)

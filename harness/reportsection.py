@@ -40,24 +40,35 @@ FEWEST_RANKED = 3
 
 
 class RankedMeasure(Strict):
-    """What a measure says of each observer, known before the run."""
+    """What a measure says of each observer: values known before the run, or the medians of another metric."""
 
     title: str = ""
     better: Better = Field("lower", description="which values are the better ones")
-    values: dict[str, float | None] = Field(description="by observer; null: it has none, and ranks behind all others")
+    values: dict[str, float | None] = Field(
+        default_factory=dict, description="by observer; null: it has none, and ranks behind all others"
+    )
+    metric: Pattern | None = Field(None, description="instead of values: another metric of each of the observers")
+    observers: list[str] = Field(default_factory=list, description="of the metric: whose")
 
     @model_validator(mode="after")
     def _comparable(self) -> RankedMeasure:
-        if len(self.values) < FEWEST_RANKED:
-            raise ValueError(f"wants values of {FEWEST_RANKED} observers or more, got {len(self.values)}")
+        if bool(self.values) == (self.metric is not None) or (self.observers and self.metric is None):
+            raise ValueError("wants values by observer, or a metric with observers")
+        if len(set(self.named)) < FEWEST_RANKED:
+            raise ValueError(f"wants values of {FEWEST_RANKED} observers or more, got {len(set(self.named))}")
         for observer, value in self.values.items():
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"wants a finite value of {observer}, or null for none, got {value}")
         return self
 
+    @property
+    def named(self) -> list[str]:
+        """Everyone it says something of."""
+        return list(dict.fromkeys([*self.values, *self.observers]))
+
 
 class Ranking(Strict):
-    """A question: does a measure, known before the run, put the observers in the order that a metric puts them in?
+    """A question: does a measure put the observers in the order that a metric puts them in?
 
     Answered by Spearman's rank correlation of the measure with the observers' medians of the metric over the cases.
     """
@@ -77,7 +88,7 @@ class Ranking(Strict):
 
     def observers(self) -> list[str]:
         """Everyone that a measure says something of."""
-        return list(dict.fromkeys(observer for measure in self.measures.values() for observer in measure.values))
+        return list(dict.fromkeys(observer for measure in self.measures.values() for observer in measure.named))
 
 
 class ReportedSelection(Strict):
@@ -140,7 +151,10 @@ class ReportSection(Strict):
             for position, experiment in enumerate(ranking.experiments):
                 yield ("rankings", index, "experiments", position), "experiment", experiment
             for name, measure in ranking.measures.items():
-                for ranked in measure.values:
-                    path = ("rankings", index, "measures", name, "values", ranked)
+                for position, ranked in enumerate(measure.named):
+                    below = ("observers", position) if measure.observers else ("values", ranked)
+                    path: KeyPath = ("rankings", index, "measures", name, *below)
                     yield path, "part", ranked
                     yield path, "value", ranking.metric_of(ranked)
+                    if measure.metric is not None:
+                        yield path, "value", of_observer(measure.metric, ranked)

@@ -79,7 +79,9 @@ def render(run: Run) -> str:
             (power, Markup(draw_power(power, titles, colours_of(run, power.observers), f"power{n}")))
             for n, power in enumerate(read_powers(run))
         ],
-        rankings=[(ranking, Markup(scatter(ranking, f"ranking{n}"))) for n, ranking in enumerate(read_rankings(run))],
+        rankings=[
+            (ranking, Markup(scatter(ranking, titles, f"ranking{n}"))) for n, ranking in enumerate(read_rankings(run))
+        ],
         figures=[
             (
                 figure,

@@ -264,7 +264,7 @@ def test_an_experiment_that_varies_only_some_of_the_axes_is_refused_by_name(tmp_
     [
         ("{final: low.hit}", "{rmse: [offset.value, noisy.value]}", r"wants a metric that is a share .* a rmse in rpm"),
         ("{final: low.hit}", "{final: noisy.value}", r"wants a metric that is a share .* got hit_low, a final in rpm"),
-        ("error_noisy: {", "error_low: {mean: low.hit}\n  error_noisy: {", r"wants metrics of one unit, got error_"),
+        ("error_noisy: {", "error_low: {mean: low.hit}\n  error_noisy: {", r"wants one unit, got error_"),
     ],
 )  # fmt: skip
 def test_a_metric_that_cannot_be_a_share_or_is_of_another_unit_is_told_before_the_run(tmp_path, old, new, told):
