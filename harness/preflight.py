@@ -12,7 +12,7 @@ from harness.crankrows import rows_apart
 from harness.criteria import bound_misfit
 from harness.definitions import misfits, results, shown_unit
 from harness.references import place_at
-from harness.reportchecks import axis_metric_problems, figure_problems, ranking_problems
+from harness.reportchecks import axis_metric_problems, figure_problems, histogram_problems, ranking_problems
 from harness.system import System
 from harness.wiring import wire
 
@@ -77,6 +77,7 @@ def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = 
                     units |= _units(campaign, name, signals[experiment])
     problems += _criterion_problems(campaign, units)
     problems += figure_problems(campaign, signals, apart)
+    problems += histogram_problems(campaign, signals, apart)
     problems += axis_metric_problems(campaign, units)
     problems += ranking_problems(campaign, units)
     if problems:

@@ -60,6 +60,28 @@ def figure_problems(campaign: Campaign, signals: Signals, apart: Apart) -> Itera
         yield from _angle_problems(campaign, at, figure, known, apart[experiment])
 
 
+def histogram_problems(campaign: Campaign, signals: Signals, apart: Apart) -> Iterator[Problem]:
+    """Errors of signals that are not recorded where their cases count, or of two dimensions; see `figure_problems`."""
+    for index, histogram in enumerate(campaign.report.histograms):
+        at: KeyPath = ("report", "histograms", index)
+        for experiment, known in signals.items():
+            if histogram.experiments and experiment not in histogram.experiments:
+                continue
+            wanted = ""
+            for position, pair in enumerate(histogram.pairs):
+                for side, name in enumerate(pair):
+                    where = (*at, "pairs", position, side)
+                    if name not in known:
+                        message = f"report: no recorded signal is named '{name}'{nearest_hint(name, known)}"
+                        yield campaign.places.problem(message, *where)
+                    elif dimension(known[name].unit) != dimension(wanted := wanted or known[name].unit):
+                        message = f"report: wants signals in {wanted} or alike, got {name} in {known[name].unit}"
+                        yield campaign.places.problem(message, *where)
+            if wanted and histogram.reach is not None and dimension(histogram.reach.unit) != dimension(wanted):
+                yield campaign.places.problem(f"report: reach wants {wanted}, got {histogram.reach}", *at, "reach")
+            yield from _angle_problems(campaign, at, histogram, known, apart[experiment])
+
+
 def _angle_problems(
     campaign: Campaign, at: KeyPath, drawn: OverAngle, known: Mapping[str, Signal], apart: float | None
 ) -> Iterator[Problem]:

@@ -84,6 +84,12 @@ class Histogram(Stretch):
     unit: str | None = None
     angle: str | None = Field(None, description="signal that holds the crank angle, where the clock is one of time")
 
+    @model_validator(mode="after")
+    def _bins(self) -> Histogram:
+        if self.reach is not None and not self.reach.value > 0.0:
+            raise ValueError(f"reach wants a value above 0, got {self.reach}")
+        return self
+
     @property
     def wants_crank(self) -> bool:
         """True where the crank angle of the rows is needed."""

@@ -12,7 +12,7 @@ from harness.ofobservers import Pattern, of_observer
 from harness.places import KeyPath
 from harness.quantity import Measure, Quantity, Strict
 from harness.reportaxes import Better, Curve, Power
-from harness.reportfigures import Figure
+from harness.reportfigures import Figure, Histogram
 from selection.methods import Method
 
 
@@ -111,6 +111,7 @@ class ReportSection(Strict):
 
     observers: dict[str, ReportedObserver] = Field(default_factory=dict)
     figures: list[Figure] = Field(default_factory=list)
+    histograms: list[Histogram] = Field(default_factory=list)
     published: list[Published] = Field(default_factory=list)
     curves: list[Curve] = Field(default_factory=list)
     powers: list[Power] = Field(default_factory=list)
@@ -133,6 +134,9 @@ class ReportSection(Strict):
         for index, figure in enumerate(self.figures):
             if figure.experiment is not None:
                 yield ("figures", index, "experiment"), "experiment", figure.experiment
+        for index, histogram in enumerate(self.histograms):
+            for position, experiment in enumerate(histogram.experiments):
+                yield ("histograms", index, "experiments", position), "experiment", experiment
         for index, entry in enumerate(self.published):
             if entry.metric is not None:
                 yield ("published", index, "metric"), "metric", entry.metric

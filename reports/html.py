@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from reports.curves import draw_curve, read_curves
 from reports.definitions import definitions
 from reports.errors import Errors, declared_confusions, nearest_rank, pool, samples_of
 from reports.folder import Case, Run, RunFolderError, read_run
+from reports.histograms import Histogram, declared_histograms, draw_histogram
 from reports.interactive import interactive, points_a_trace
 from reports.page import page_of
 from reports.powers import draw_power, read_powers
@@ -93,6 +94,10 @@ def render(run: Run) -> str:
         ],
         points=points_a_trace(drawn),
         plotly=Markup(get_plotlyjs()) if any(plots) else "",
+        declared_histograms=[
+            (found, "" if found.problem else Markup(_drawn(run, found, titles, f"histogram{n}")))
+            for n, found in enumerate(declared_histograms(run))
+        ],
         histograms=_histograms(run, errors),
         confusions=[
             (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.classes) <= VALUES_DRAWN else "")
@@ -159,6 +164,11 @@ def _heat_map(run: Run, quantity: standing.Quantity, name: str) -> str:
     label = f"median [{quantity.unit}]" if quantity.unit != "1" else "median"
     columns = [titles.get(observer, observer) for observer in quantity.metrics]
     return figures.heat_map(list(groups), columns, values, label, name)
+
+
+def _drawn(run: Run, found: Histogram, titles: Mapping[str, str], name: str) -> str:
+    parts = [errors.estimate.partition(".")[0] for errors in found.panels]
+    return draw_histogram(found, titles, colours_of(run, parts), name)
 
 
 def _histograms(run: Run, errors: Sequence[Errors]) -> list[tuple[str, Sequence[Errors], Markup]]:
