@@ -89,7 +89,7 @@ def axis_problems(report: ReportSection, cases: Sequence[Varied], places: Places
 def _magnitude_axes(asked: AgainstAxis) -> Iterator[tuple[KeyPath, str, str]]:
     if isinstance(asked, Power):
         for index, path in enumerate(asked.magnitudes):
-            yield ("magnitude",) if isinstance(asked.magnitude, str) else ("magnitude", index), path, "numbers"
+            yield ("magnitude", index), path, "numbers"
 
 
 def _coverage_problems(asked: AgainstAxis, counted: Sequence[Varied], places: Places, at: KeyPath) -> Iterator[Problem]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, WithJsonSchema, model_validator
 
 from fmus.units import UnitError
 from harness.ofobservers import OfObservers
@@ -46,8 +46,14 @@ class Curve(AgainstAxis):
 class Power(AgainstAxis):
     """The smallest magnitude from which on each observer finds what there is to find, in so many of the cases."""
 
-    magnitude: str | list[str] = Field(
-        description="the axis whose absolute value is found; of several the largest of those that a case varies"
+    magnitudes: Annotated[
+        list[str],
+        BeforeValidator(lambda raw: [raw] if isinstance(raw, str) else raw),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}, "minItems": 1}]}),
+    ] = Field(
+        alias="magnitude",
+        min_length=1,
+        description="the axis whose absolute value is found; of several the largest of those that a case varies",
     )
     hit: float = Field(1.0, gt=0.0, le=1.0, description="the metric, a share, from which on a case counts as found")
     share: Quantity = Field(Measure(95.0, "%"), description="of the cases that are to be found")
@@ -62,11 +68,4 @@ class Power(AgainstAxis):
                 inside = False
             if not inside:
                 raise ValueError(f"{name} wants a share below 100 %, like 95 %, got {share}")
-        if not self.magnitudes:
-            raise ValueError("magnitude wants one axis or more, got none")
         return self
-
-    @property
-    def magnitudes(self) -> list[str]:
-        """The axes whose largest absolute value is the magnitude of a case."""
-        return [self.magnitude] if isinstance(self.magnitude, str) else self.magnitude

@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from reports import numbers, standing
-from reports.errors import nearest_rank, samples_of
+from reports.errors import samples_of
 from reports.folder import Run, RunFolderError, read_json
 
 
@@ -92,7 +94,7 @@ def _ours(run: Run, entry: dict[str, Any], metric: str, experiment: str) -> str:
         return numbers.with_unit(values[0], unit)
     if values:
         spread = f"{numbers.short(min(values))} to {numbers.short(max(values))}"
-        return f"{numbers.with_unit(nearest_rank(values, 0.5), unit)} (median of {len(values)}; {spread})"
+        return f"{numbers.with_unit(float(np.median(values)), unit)} (median of {len(values)}; {spread})"
     if metric:
         return f"{metric}: no case of {experiment or 'the campaign'} has it"
     return str(entry["ours"]) if entry.get("ours") is not None else "" if entry.get("holds") else "see the figures"

@@ -219,6 +219,9 @@ def test_points_whose_cases_failed_are_read_back_as_infinite_and_drawn_at_the_ed
     [
         ("magnitude: offset.constant", "magnitude: offset.cnst", "no axis is named 'offset.cnst'; did you mean 'o"),
         ("against: noisy.noise.std, p", "against: noise.std, p", "no axis is named 'noise.std'; did you mean 'no"),
+        ("magnitude: offset.constant", "magnitude: 3", "magnitude wants a list, got 3"),
+        ("magnitude: offset.constant", "magnitude: []", "magnitude wants at least 1 items, got []"),
+        ("magnitude: offset.constant", "magnitude: [offset.constant, 4]", "magnitude[1] wants text, got 4"),
         ("panels: offset.constant", "panels: low.use", "no axis is named 'low.use'"),
         ("'error_{observer}'", "eror", "wants the name of a metric with {observer} in it once, got 'eror'"),
         ("'error_{observer}'", "'eror_{observer}'", "no part has a metric named like 'eror_{observer}'; did"),
