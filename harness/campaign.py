@@ -12,13 +12,14 @@ from typing import Any
 
 from fmus.component import ConfigurationError, Problem
 from fmus.model import unknown
+from harness.axes import axis_problems
 from harness.campaignfile import CampaignFile
 from harness.criteria import Criterion
 from harness.definitions import Definition
 from harness.expansion import PathError, Setting, apply, combine, locate, put, read_axes, shown
 from harness.fingerprint import case_key
 from harness.places import KeyPath, Move, Place, Places, read_yaml, read_yaml_file
-from harness.references import name_problems, read_criteria, reference_problems
+from harness.references import name_problems, read_criteria, read_statements, reference_problems
 from harness.reportsection import ReportSection
 from harness.scenario import Scenario
 from harness.validation import validate
@@ -42,7 +43,10 @@ class Case:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign as read: `written` is the file as plain data, overrides of the command line included."""
+    """A campaign as read: `written` is the file as plain data, overrides of the command line included.
+
+    `statements` are what published entries that have a `holds` state, by the number of the entry.
+    """
 
     name: str
     file: Path
@@ -52,6 +56,7 @@ class Campaign:
     cases: tuple[Case, ...]
     metrics: Mapping[str, Definition]
     criteria: tuple[Criterion, ...]
+    statements: Mapping[int, Criterion]
     report: ReportSection
     limits: Limits
 
@@ -77,7 +82,10 @@ def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
     cases = list(_cases(document, places, on_top, file.parent, of_cases))
     problems += [problem for problem in of_cases if problem[1:] not in told]
     criteria = list(read_criteria(document, places, problems))
+    statements = read_statements(document, places, problems)
     problems += reference_problems(document, places)
+    if checked is not None and not of_cases:
+        problems += axis_problems(checked.report, cases, places)
     if problems or checked is None:
         raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda one: (one.file, one.line, one.column)))
     return Campaign(
@@ -89,6 +97,7 @@ def read_campaign(file: Path, overrides: Sequence[str] = ()) -> Campaign:
         cases=tuple(cases),
         metrics=checked.metrics,
         criteria=tuple(criteria),
+        statements=statements,
         report=checked.report,
         limits=checked.limits.for_worker(),
     )

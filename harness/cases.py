@@ -20,6 +20,7 @@ from harness.definitions import Definition, digest
 from harness.native import settle
 from harness.preflight import preflight, recorded_signals
 from harness.record import COMPLETE, write_signals
+from harness.reported import FILES, write_reported
 from harness.run import run
 from harness.runfolder import (
     UNFINISHED,
@@ -33,7 +34,6 @@ from harness.runfolder import (
     write_case,
     write_json,
     write_metrics,
-    write_rankings,
 )
 from harness.salvage import keep_failure
 from harness.signalsfile import GROUP, GroupSize
@@ -150,10 +150,7 @@ def _execute(
     write_acceptance(folder, verdicts)
     if selected is not None:
         write_json(folder / "selection.json", selected)
-    if campaign.report.rankings:
-        from harness.rankings import rankings_content  # with what it imports, every worker would pay for it
-
-        write_rankings(folder, rankings_content(campaign.report.rankings, cases, units))
+    write_reported(folder, campaign, cases, units)
     return Result(folder, {case.label: case.outcome for case in cases}, verdicts)
 
 
@@ -161,7 +158,7 @@ def _selected(campaign: Campaign) -> dict[str, Any] | None:
     """The selection of sensors that the report shows; None where it asks for none. Raises ConfigurationError."""
     if campaign.report.selection is None:
         return None
-    from harness.campaignselection import selection_content  # as above
+    from harness.campaignselection import selection_content  # with what it imports, every worker would pay
 
     return selection_content(campaign.report.selection, campaign)
 
@@ -257,7 +254,7 @@ def _finished(folder: Path, case: Case) -> bool:
 def _clear(folder: Path, cases: Sequence[Case]) -> None:
     """Nothing of an earlier run is left to be taken for this one's."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("acceptance.json", "metrics.csv", "rankings.json", "selection.json", "report.html"):
+    for name in ("acceptance.json", "metrics.csv", "selection.json", "report.html", *FILES):
         (folder / name).unlink(missing_ok=True)
     for case in cases:
         _clear_unfinished(folder, case)

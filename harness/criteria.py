@@ -77,7 +77,7 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Judged:
-    """What acceptance needs of one case."""
+    """What acceptance and the report need of one case."""
 
     key: str
     label: str
@@ -85,6 +85,7 @@ class Judged:
     outcome: str
     metrics: Mapping[str, Value] = field(default_factory=dict)
     samples: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    values: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from harness.crankrows import rows_apart
 from harness.criteria import bound_misfit
 from harness.definitions import misfits, results, shown_unit
 from harness.references import place_at
+from harness.reportchecks import axis_metric_problems, figure_problems, histogram_problems, ranking_problems
 from harness.system import System
-from harness.validation import nearest_hint
 from harness.wiring import wire
 
 # How many cases of an experiment are tried until one can be wired without dying of it.
@@ -58,6 +58,7 @@ def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = 
     problems: list[Problem] = []
     units: dict[str, str] = {}
     signals: dict[str, Mapping[str, Signal]] = {}
+    apart: dict[str, float | None] = {}
     for experiment, cases in first_cases(campaign).items():
         try:
             recorded = next((found for found in map(look, cases) if found is not None), None)
@@ -67,16 +68,18 @@ def preflight(campaign: Campaign, look: Callable[[Case], list[Signal] | None] = 
         if recorded is None:
             continue
         signals[experiment] = {signal.name: signal for signal in recorded}
-        apart = rows_apart(cases[0].scenario)
+        apart[experiment] = rows_apart(cases[0].scenario)
         for name, definition in campaign.metrics.items():
             if definition.covers(experiment):
-                found = misfits(name, definition, signals[experiment], campaign.places, apart)
+                found = misfits(name, definition, signals[experiment], campaign.places, apart[experiment])
                 problems += found
                 if not found:
                     units |= _units(campaign, name, signals[experiment])
     problems += _criterion_problems(campaign, units)
-    problems += _figure_problems(campaign, signals)
-    problems += _ranking_problems(campaign, units)
+    problems += figure_problems(campaign, signals, apart)
+    problems += histogram_problems(campaign, signals, apart)
+    problems += axis_metric_problems(campaign, units)
+    problems += ranking_problems(campaign, units)
     if problems:
         raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda one: (one.file, one.line, one.column)))
     return Readiness(units)
@@ -97,31 +100,16 @@ def _units(campaign: Campaign, name: str, signals: Mapping[str, Signal]) -> dict
 
 
 def _criterion_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
-    for index, criterion in enumerate(campaign.criteria):
+    accepted = [
+        ("accept", criterion, ("accept", index, criterion.experiment))
+        for index, criterion in enumerate(campaign.criteria)
+    ]
+    stated = [
+        ("holds", criterion, ("report", "published", index, "holds"))
+        for index, criterion in campaign.statements.items()
+    ]
+    for section, criterion, where in [*accepted, *stated]:
         sides = [side.metric for side in (criterion.left, criterion.right) if side.metric]
         message = bound_misfit(criterion, units) if all(metric in units for metric in sides) else ""
         if message:
-            yield place_at(f"accept: {message}", campaign.places.of(("accept", index, criterion.experiment)), 0)
-
-
-def _figure_problems(campaign: Campaign, signals: Mapping[str, Mapping[str, Signal]]) -> Iterator[Problem]:
-    """Traces of signals that are not recorded in the experiment drawn."""
-    for index, figure in enumerate(campaign.report.figures):
-        known = signals.get(figure.experiment or next(iter(signals), ""))
-        for panel, traces in enumerate(figure.traces):
-            for position, trace in enumerate(traces):
-                if known is not None and trace not in known:
-                    message = f"report: no recorded signal is named '{trace}'{nearest_hint(trace, known)}"
-                    yield campaign.places.problem(message, "report", "figures", index, "traces", panel, position)
-
-
-def _ranking_problems(campaign: Campaign, units: Mapping[str, str]) -> Iterator[Problem]:
-    """Metrics of a ranking that are not in the unit of its first."""
-    for index, ranking in enumerate(campaign.report.rankings):
-        names = [name for name in map(ranking.metric_of, ranking.observers()) if name in units]
-        for name in names:
-            if units[name] != units[names[0]]:
-                message = (
-                    f"report: a ranking wants one unit, got {names[0]} in {units[names[0]]} and {name} in {units[name]}"
-                )
-                yield campaign.places.problem(message, "report", "rankings", index, "metric")
+            yield place_at(f"{section}: {message}", campaign.places.of(where), 0)

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from harness.criteria import Judged
+from harness.ofobservers import of_observer
 from harness.record import COMPLETE
-from harness.reportsection import Better, RankedMeasure, Ranking
+from harness.reportaxes import Better
+from harness.reportsection import RankedMeasure, Ranking
 
 Array = NDArray[np.float64]
 # The share of the resamples that an interval holds.
@@ -75,22 +77,25 @@ def median_cost(costs: Array) -> Array:
 def correlate(measure: Array, costs: Array, resamples: int, seed: int) -> Correlation:
     """The rank correlation of `measure` (n,), less is better, with the median of `costs` (n, cases), less is better.
 
-    The interval holds the middle 95 % of resamples (Efron's percentile interval) in which both the observers and the
-    cases are drawn anew with replacement: another choice of sets, and other noise and engines. Observers share their
-    cases, so a case is drawn for all of them. Resamples in which a side is all ties have no correlation and are left
-    out.
+    A measure (n, cases) that is a metric itself counts by its median, too. The interval holds the middle 95 % of
+    resamples (Efron's percentile interval) in which both the observers and the cases are drawn anew with replacement:
+    another choice of sets, and other noise and engines. Observers share their cases, so a case is drawn for all of
+    them. Resamples in which a side is all ties have no correlation and are left out.
     """
-    value = float(spearman(measure, median_cost(costs))) if len(measure) > 1 else math.nan
+    known = measure if measure.ndim == 1 else median_cost(measure)
+    value = float(spearman(known, median_cost(costs))) if len(measure) > 1 else math.nan
     if math.isnan(value):
         return NO_CORRELATION
     draw = np.random.default_rng(seed)
     observers, cases = costs.shape
     chosen = draw.integers(observers, size=(resamples, observers))
-    medians = np.array([median_cost(costs[:, draw.integers(cases, size=cases)]) for _ in range(resamples)])
-    resampled = np.take_along_axis(medians, chosen, axis=1)
+    drawn = [draw.integers(cases, size=cases) for _ in range(resamples)]
+    medians = np.array([median_cost(costs[:, rows]) for rows in drawn])
+    measured = np.array([measure if measure.ndim == 1 else median_cost(measure[:, rows]) for rows in drawn])
+    ranked, resampled = (np.take_along_axis(values, chosen, axis=1) for values in (measured, medians))
     # Where no case of an observer has the metric among those drawn, that resample says nothing of it.
-    whole = ~np.isnan(resampled).any(axis=1)
-    found = spearman(measure[chosen[whole]], resampled[whole])
+    whole = ~(np.isnan(resampled) | np.isnan(ranked)).any(axis=1)
+    found = spearman(ranked[whole], resampled[whole])
     found = found[~np.isnan(found)]
     if not len(found):
         return Correlation(value, math.nan, math.nan, 0)
@@ -110,7 +115,7 @@ def _ranking(ranking: Ranking, cases: Sequence[Judged], units: Mapping[str, str]
     covered = [case for case in cases if not ranking.experiments or case.experiment in ranking.experiments]
     observers = ranking.observers()
     unit = units.get(ranking.metric_of(observers[0]), "1")
-    costs = {name: _costs(ranking, name, covered) for name in observers}
+    costs = {name: _costs(ranking.metric_of(name), ranking.better, covered) for name in observers}
     sign = _sign(ranking.better)
     medians = {name: float(sign * median_cost(row[None, :])[0]) for name, row in costs.items()}
     return {
@@ -126,23 +131,34 @@ def _ranking(ranking: Ranking, cases: Sequence[Judged], units: Mapping[str, str]
         "level": LEVEL,
         "note": ranking.note,
         "medians": medians,
-        "measures": [_measure(name, measure, ranking, costs, medians) for name, measure in ranking.measures.items()],
+        "measures": [
+            _measure(name, measure, ranking, costs, _measured(measure, covered), units)
+            for name, measure in ranking.measures.items()
+        ],
     }
 
 
 def _measure(
-    name: str, measure: RankedMeasure, ranking: Ranking, costs: Mapping[str, Array], medians: Mapping[str, float]
+    name: str,
+    measure: RankedMeasure,
+    ranking: Ranking,
+    costs: Mapping[str, Array],
+    measured: Mapping[str, Array],
+    units: Mapping[str, str],
 ) -> dict[str, Any]:
-    known = [observer for observer in measure.values if not math.isnan(medians[observer])]
-    sign = _sign(measure.better)
-    ranked = np.array([_worst_if_none(measure.values[observer], sign) for observer in known])
-    rows = np.array([costs[observer] for observer in known])
+    """One measure; of it count the observers for which it and the metric were measured in some case."""
+    least = {one: float(median_cost(measured[one].reshape(1, -1))[0]) for one in measure.named}
+    known = [one for one in measure.named if not (np.isnan(costs[one]).all() or math.isnan(least[one]))]
+    ranked, rows = (np.array([of[one] for one in known]) for of in (measured, costs))
     found = correlate(ranked, rows, ranking.resamples, ranking.seed) if known else NO_CORRELATION
+    unit = "1" if measure.metric is None else units.get(of_observer(measure.metric, measure.named[0]), "1")
     return {
         "name": name,
         "title": measure.title or name,
+        "metric": measure.metric or "",
+        "unit": unit,
         "better": measure.better,
-        "values": {observer: measure.values[observer] for observer in known},
+        "values": {one: _value(measure, one, least[one]) for one in known},
         "correlation": found.value,
         "lower": found.lower,
         "upper": found.upper,
@@ -151,15 +167,27 @@ def _measure(
     }
 
 
-def _costs(ranking: Ranking, observer: str, cases: Sequence[Judged]) -> Array:
-    """An observer's metric by case so that less is better."""
-    name, sign = ranking.metric_of(observer), _sign(ranking.better)
+def _measured(measure: RankedMeasure, cases: Sequence[Judged]) -> dict[str, Array]:
+    """What a measure says of each observer so that less is better: a number, or one a case where it is a metric."""
+    if measure.metric is None:
+        sign = _sign(measure.better)
+        return {one: np.array(_worst_if_none(value, sign)) for one, value in measure.values.items()}
+    return {one: _costs(of_observer(measure.metric, one), measure.better, cases) for one in measure.named}
+
+
+def _value(measure: RankedMeasure, observer: str, least: float) -> float | None:
+    """The value to show: as declared, or the median of the metric."""
+    return measure.values[observer] if measure.metric is None else _sign(measure.better) * least
+
+
+def _costs(metric: str, better: Better, cases: Sequence[Judged]) -> Array:
+    """A metric by case so that less is better."""
     found = np.full(len(cases), np.nan)
     for i, case in enumerate(cases):
         if case.outcome not in COMPLETE:
             found[i] = np.inf
-        elif name in case.metrics:
-            found[i] = sign * case.metrics[name].value
+        elif metric in case.metrics:
+            found[i] = _sign(better) * case.metrics[metric].value
     return found
 
 

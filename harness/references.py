@@ -13,9 +13,10 @@ from harness.campaignfile import Limits
 from harness.criteria import Criterion, CriterionError, parse_criterion
 from harness.definitions import Definition, results
 from harness.expansion import ROOTS
+from harness.ofobservers import of_observer
 from harness.places import KeyPath, Place, Places
 from harness.reportsection import ReportSection
-from harness.validation import validate
+from harness.validation import nearest_hint, validate
 
 
 def name_problems(document: Mapping[str, Any], places: Places) -> Iterator[Problem]:
@@ -34,32 +35,59 @@ def name_problems(document: Mapping[str, Any], places: Places) -> Iterator[Probl
 
 def read_criteria(document: Mapping[str, Any], places: Places, problems: list[Problem]) -> Iterator[Criterion]:
     """The criteria, read as far as the metrics they speak of are in order."""
-    metrics, broken = _metrics(document)
-    known = results(metrics)
-    named = list(_mapping(document, "experiments"))
-    experiments = named or [""]
+    reader = _Reader(document, places, problems)
     written = document.get("accept")
     for index, entry in enumerate(written if isinstance(written, list) else ()):
         for experiment, text in entry.items() if isinstance(entry, dict) else [("", entry)]:
             where: KeyPath = ("accept", index, experiment) if isinstance(entry, dict) else ("accept", index)
-            if not isinstance(text, str):
-                continue
-            if experiment and experiment not in experiments:
-                problems.append(places.key_problem(unknown(experiment, named, "experiment"), *where))
-            try:
-                criterion = parse_criterion(text, known)
-            except CriterionError as error:
-                if not any(name in text for name in broken):
-                    place = places.of(where)
-                    problems.append(place_at(f"accept: {error}", place, error.offset))
-                continue
-            speaks_of = {known[side.metric][0] for side in (criterion.left, criterion.right) if side.metric}
-            asked = [experiment] if experiment else experiments
-            covered = [name for name in asked if all(metrics[metric].covers(name) for metric in speaks_of)]
-            if not covered:
-                message = f"accept: '{text}' covers no experiment: its metrics are measured elsewhere"
-                problems.append(places.problem(message, *where))
-            yield replace(criterion, experiment=experiment, covered=tuple(covered))
+            if experiment and experiment not in reader.experiments:
+                problems.append(places.key_problem(unknown(experiment, reader.named, "experiment"), *where))
+            criterion = reader.read("accept", text, experiment, where)
+            if criterion is not None:
+                yield criterion
+
+
+def read_statements(document: Mapping[str, Any], places: Places, problems: list[Problem]) -> dict[int, Criterion]:
+    """What the published entries that have a `holds` state, by the number of the entry, read as criteria are."""
+    reader = _Reader(document, places, problems)
+    written = _mapping(document, "report").get("published")
+    found = {}
+    for index, entry in enumerate(written if isinstance(written, list) else ()):
+        if isinstance(entry, dict) and "holds" in entry:
+            where: KeyPath = ("report", "published", index, "holds")
+            criterion = reader.read("holds", entry["holds"], str(entry.get("experiment") or ""), where)
+            if criterion is not None:
+                found[index] = criterion
+    return found
+
+
+class _Reader:
+    """Reads criteria of the metrics of a campaign; what is wrong with them goes to `problems`."""
+
+    def __init__(self, document: Mapping[str, Any], places: Places, problems: list[Problem]) -> None:
+        self.metrics, self._broken = _metrics(document)
+        self._known = results(self.metrics)
+        self.named = list(_mapping(document, "experiments"))
+        self.experiments = self.named or [""]
+        self._places, self._problems = places, problems
+
+    def read(self, section: str, text: Any, experiment: str, where: KeyPath) -> Criterion | None:
+        """The criterion that stands at `where`, of one experiment or, where it is empty, of all."""
+        if not isinstance(text, str):
+            return None
+        try:
+            criterion = parse_criterion(text, self._known)
+        except CriterionError as error:
+            if not any(name in text for name in self._broken):
+                self._problems.append(place_at(f"{section}: {error}", self._places.of(where), error.offset))
+            return None
+        speaks_of = {self._known[side.metric][0] for side in (criterion.left, criterion.right) if side.metric}
+        asked = [experiment] if experiment else self.experiments
+        covered = [name for name in asked if all(self.metrics[metric].covers(name) for metric in speaks_of)]
+        if not covered:
+            message = f"{section}: '{text}' covers no experiment: its metrics are measured elsewhere"
+            self._problems.append(self._places.problem(message, *where))
+        return replace(criterion, experiment=experiment, covered=tuple(covered))
 
 
 def place_at(message: str, place: Place, offset: int) -> Problem:
@@ -101,7 +129,11 @@ def reference_problems(document: Mapping[str, Any], places: Places) -> Iterator[
     }
     report, _ = validate(ReportSection, _mapping(document, "report"), places)
     for path, kind, name in report.references() if report is not None else ():
-        if name not in names[kind]:
+        if kind == "pattern":
+            if not any(of_observer(name, part) in names["value"] for part in names["part"]):
+                message = f"report: no part has a metric named like '{name}'{nearest_hint(name, names['value'])}"
+                yield places.problem(message, "report", *path)
+        elif name not in names[kind]:
             called = "metric with one value a case" if kind == "value" else kind
             yield places.problem(f"report: {unknown(name, names[kind], called)}", "report", *path)
     limits, _ = validate(Limits, _mapping(document, "limits"), places)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
+from harness.ofobservers import Pattern, of_observer
 from harness.places import KeyPath
 from harness.quantity import Measure, Quantity, Strict
+from harness.reportaxes import Better, Curve, Power
+from harness.reportfigures import Figure, Histogram
 from selection.methods import Method
 
 
@@ -20,69 +23,58 @@ class ReportedObserver(Strict):
     metrics: list[str] = Field(default_factory=list)
 
 
-class Figure(Strict):
-    """Signals over time, one panel a list of signals."""
-
-    title: str
-    experiment: str | None = Field(None, description="its first case is drawn; the campaign's first where absent")
-    traces: list[list[str]] = Field(min_length=1, description="one list of signals a panel")
-    lines: dict[str, str] = Field(default_factory=dict, description="value with unit: name of a horizontal line")
-    unit: str | None = None
-    start: Quantity | None = Field(None, alias="from", description="the time the figure begins at")
-    until: Quantity | None = Field(None, alias="to", description="the time it ends at")
-
-
 class Published(Strict):
-    """A value from the paper beside ours."""
+    """A value or a statement from the paper beside ours."""
 
     what: str
     published: Any
     ours: Any = Field(None, description="what stands beside it where no metric does")
     metric: str | None = None
     experiment: str | None = None
+    holds: str | None = Field(None, description="the statement as a criterion, which is judged but never fails the run")
     note: str = ""
 
 
-Better = Literal["lower", "higher"]
-OBSERVER = "{observer}"
 # Of fewer observers a rank correlation says nothing.
 FEWEST_RANKED = 3
 
 
-def read_pattern(text: str) -> str:
-    """The name of a metric with `{observer}` in the place of each observer's name."""
-    if text.count(OBSERVER) != 1 or set("{}") & set(text.replace(OBSERVER, "")):
-        raise ValueError(f"wants the name of a metric with {OBSERVER} in it once, got '{text}'")
-    return text
-
-
 class RankedMeasure(Strict):
-    """What a measure says of each observer, known before the run."""
+    """What a measure says of each observer: values known before the run, or the medians of another metric."""
 
     title: str = ""
     better: Better = Field("lower", description="which values are the better ones")
-    values: dict[str, float | None] = Field(description="by observer; null: it has none, and ranks behind all others")
+    values: dict[str, float | None] = Field(
+        default_factory=dict, description="by observer; null: it has none, and ranks behind all others"
+    )
+    metric: Pattern | None = Field(None, description="instead of values: another metric of each of the observers")
+    observers: list[str] = Field(default_factory=list, description="of the metric: whose")
 
     @model_validator(mode="after")
     def _comparable(self) -> RankedMeasure:
-        if len(self.values) < FEWEST_RANKED:
-            raise ValueError(f"wants values of {FEWEST_RANKED} observers or more, got {len(self.values)}")
+        if bool(self.values) == (self.metric is not None) or (self.observers and self.metric is None):
+            raise ValueError("wants values by observer, or a metric with observers")
+        if len(set(self.named)) < FEWEST_RANKED:
+            raise ValueError(f"wants values of {FEWEST_RANKED} observers or more, got {len(set(self.named))}")
         for observer, value in self.values.items():
             if value is not None and not math.isfinite(value):
                 raise ValueError(f"wants a finite value of {observer}, or null for none, got {value}")
         return self
 
+    @property
+    def named(self) -> list[str]:
+        """Everyone it says something of."""
+        return list(dict.fromkeys([*self.values, *self.observers]))
+
 
 class Ranking(Strict):
-    """A question: does a measure, known before the run, put the observers in the order that a metric puts them in?
+    """A question: does a measure put the observers in the order that a metric puts them in?
 
     Answered by Spearman's rank correlation of the measure with the observers' medians of the metric over the cases.
     """
 
     title: str
-    metric: Annotated[str, AfterValidator(read_pattern)] = Field(
-        description="each observer's metric, like rmse_{observer}"
-    )
+    metric: Pattern = Field(description="each observer's metric, like rmse_{observer}")
     better: Better = Field("lower", description="which values of the metric are the better ones")
     experiments: list[str] = Field(default_factory=list, description="whose cases count; all where absent")
     measures: dict[str, RankedMeasure] = Field(min_length=1)
@@ -92,11 +84,11 @@ class Ranking(Strict):
 
     def metric_of(self, observer: str) -> str:
         """The metric of an observer."""
-        return self.metric.replace(OBSERVER, observer)
+        return of_observer(self.metric, observer)
 
     def observers(self) -> list[str]:
         """Everyone that a measure says something of."""
-        return list(dict.fromkeys(observer for measure in self.measures.values() for observer in measure.values))
+        return list(dict.fromkeys(observer for measure in self.measures.values() for observer in measure.named))
 
 
 class ReportedSelection(Strict):
@@ -119,12 +111,22 @@ class ReportSection(Strict):
 
     observers: dict[str, ReportedObserver] = Field(default_factory=dict)
     figures: list[Figure] = Field(default_factory=list)
+    histograms: list[Histogram] = Field(default_factory=list)
     published: list[Published] = Field(default_factory=list)
+    curves: list[Curve] = Field(default_factory=list)
+    powers: list[Power] = Field(default_factory=list)
     rankings: list[Ranking] = Field(default_factory=list)
     selection: ReportedSelection | None = None
 
+    def against_axes(self) -> Mapping[str, Sequence[Curve | Power]]:
+        """What is drawn against axes of the campaign, by the key it stands under."""
+        return {"curves": self.curves, "powers": self.powers}
+
     def references(self) -> Iterator[tuple[KeyPath, str, str]]:
-        """(where, metric or experiment or part or value, name) for every name that must exist in the campaign."""
+        """(where, kind, name) of every name that must exist in the campaign: a metric, experiment, part or value.
+
+        Of the kind `pattern` some part must have a metric named so.
+        """
         for part, observer in self.observers.items():
             yield ("observers", part), "part", part
             for index, metric in enumerate(observer.metrics):
@@ -132,16 +134,31 @@ class ReportSection(Strict):
         for index, figure in enumerate(self.figures):
             if figure.experiment is not None:
                 yield ("figures", index, "experiment"), "experiment", figure.experiment
+        for index, histogram in enumerate(self.histograms):
+            for position, experiment in enumerate(histogram.experiments):
+                yield ("histograms", index, "experiments", position), "experiment", experiment
         for index, entry in enumerate(self.published):
             if entry.metric is not None:
                 yield ("published", index, "metric"), "metric", entry.metric
             if entry.experiment is not None:
                 yield ("published", index, "experiment"), "experiment", entry.experiment
+        for section, entries in self.against_axes().items():
+            for index, asked in enumerate(entries):
+                for position, experiment in enumerate(asked.experiments):
+                    yield (section, index, "experiments", position), "experiment", experiment
+                for position, named in enumerate(asked.observers):
+                    yield (section, index, "observers", position), "part", named
+                    yield (section, index, "observers", position), "value", asked.metric_of(named)
+                if not asked.observers:
+                    yield (section, index, "metric"), "pattern", asked.metric
         for index, ranking in enumerate(self.rankings):
             for position, experiment in enumerate(ranking.experiments):
                 yield ("rankings", index, "experiments", position), "experiment", experiment
             for name, measure in ranking.measures.items():
-                for ranked in measure.values:
-                    path = ("rankings", index, "measures", name, "values", ranked)
+                for position, ranked in enumerate(measure.named):
+                    below = ("observers", position) if measure.observers else ("values", ranked)
+                    path: KeyPath = ("rankings", index, "measures", name, *below)
                     yield path, "part", ranked
                     yield path, "value", ranking.metric_of(ranked)
+                    if measure.metric is not None:
+                        yield path, "value", of_observer(measure.metric, ranked)

@@ -1,4 +1,4 @@
-"""Writes and reads back what a run folder holds: campaign.json, the cases, metrics.csv, verdicts, rankings."""
+"""Writes and reads back what a run folder holds: campaign.json, the cases, metrics.csv, verdicts."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def judged(folder: Path, case: Case) -> Judged:
         name: [math.inf if sample is None else sample for sample in values]
         for name, values in (found.get("samples") or {}).items()
     }
-    return Judged(case.key, case.label, case.experiment, str(found.get("outcome", "")), metrics, samples)
+    return Judged(case.key, case.label, case.experiment, str(found.get("outcome", "")), metrics, samples, case.values)
 
 
 def write_metrics(folder: Path, cases: Iterable[Judged], definitions: Mapping[str, Definition]) -> None:
@@ -155,11 +155,6 @@ def write_metrics(folder: Path, cases: Iterable[Judged], definitions: Mapping[st
 def write_acceptance(folder: Path, verdicts: Iterable[Verdict]) -> None:
     """acceptance.json: one entry a criterion."""
     write_json(folder / "acceptance.json", [asdict(verdict) for verdict in verdicts])
-
-
-def write_rankings(folder: Path, rankings: Sequence[Mapping[str, Any]]) -> None:
-    """rankings.json: one entry a ranking."""
-    write_json(folder / "rankings.json", rankings)
 
 
 def write_campaign(folder: Path, campaign: Campaign) -> None:

@@ -139,6 +139,11 @@ def samples_of(run: Run, name: str, cases: Sequence[Case] | None = None) -> Vect
     return np.array([value for case in (run.cases if cases is None else cases) for value in case.samples.get(name, ())])
 
 
+def nearest_rank(values: Sequence[float] | np.ndarray, share: float) -> float:
+    """The percentile by nearest rank; NaN of no values."""
+    return float(np.quantile(values, share, method="inverted_cdf")) if len(values) else float("nan")
+
+
 def _compared(columns: Columns, pair: Pair) -> tuple[Vector, Vector]:
     """Truth and estimate where they are compared: from some time on, where both are finite."""
     truth, estimate = columns.signals[pair.truth].values, columns.signals[pair.estimate].values

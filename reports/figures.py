@@ -17,8 +17,9 @@ from matplotlib.ticker import MaxNLocator
 
 from reports.envelope import Vector, envelope
 from reports.errors import Confusion, Errors
+from reports.faultwindows import labelled
 from reports.numbers import short
-from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure, labelled
+from reports.traces import FAULT_COLOUR, TRUTH_COLOUR, Figure
 
 # Ink is a colour nothing else has, replaced in the SVG by the page's own text colour.
 INK = "#010203"
@@ -45,29 +46,34 @@ POINTS, BINS = 1200, 81
 
 
 def signals(figure: Figure, name: str) -> str:
-    """The declared figure: stacked panels over one time axis, thresholds dashed, fault windows shaded."""
+    """The declared figure: stacked panels over one axis, thresholds dashed, fault windows shaded, firings dotted."""
     with matplotlib.rc_context(STYLE):
         drawing = Drawing(figsize=(9.6, 0.7 + 1.75 * len(figure.panels)), layout="constrained")
         axes = drawing.subplots(len(figure.panels), 1, sharex=True, squeeze=False)[:, 0]
         for panel, axis in zip(figure.panels, axes, strict=True):
             for trace in panel.traces:
-                time, values = envelope(trace.time, trace.values, POINTS)
+                along, values = envelope(trace.along, trace.values, POINTS)
                 style = {"solid": "-", "dash": "--", "dot": ":", "dashdot": "-."}[trace.dash]
                 axis.plot(
-                    time,
+                    along,
                     values,
                     color=trace.colour,
                     linestyle=style,
                     linewidth=3.0 if trace.is_truth else 1.3,
-                    alpha=0.6 if trace.is_truth else 1.0,
+                    alpha=trace.strength * (0.6 if trace.is_truth else 1.0),
                     drawstyle="steps-post" if trace.discrete else "default",
-                    label=trace.name,
+                    label=trace.name if trace.strength == 1.0 else None,
                 )
             for value, label in panel.lines:
                 axis.axhline(value, color=TRUTH_COLOUR, linewidth=1.0, linestyle=(0, (5, 4)))
                 axis.annotate(label, (0.005, value), xycoords=("axes fraction", "data"), va="top", fontsize=8.5)
             for window in figure.windows:
                 axis.axvspan(window.since, window.until, color=FAULT_COLOUR, alpha=0.15, linewidth=0)
+            for at, cylinder in figure.axis.marks:
+                axis.axvline(at, color=INK, linewidth=0.8, linestyle=":")
+                if panel is figure.panels[0]:
+                    place = {"xycoords": ("data", "axes fraction"), "ha": "center", "va": "bottom"}
+                    axis.annotate(cylinder, (at, 1.01), fontsize=8.5, **place)
             if panel is figure.panels[0]:
                 for row, window in labelled(figure.windows):
                     axis.annotate(
@@ -83,7 +89,11 @@ def signals(figure: Figure, name: str) -> str:
             if all(trace.discrete for trace in panel.traces):
                 axis.yaxis.set_major_locator(MaxNLocator(6, integer=True))
             axis.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), borderaxespad=0.0)
-        axes[-1].set_xlabel("time [s]")
+        axes[-1].set_xlabel(figure.axis.label)
+        if figure.axis.ticks:
+            axes[-1].set_xticks(figure.axis.ticks)
+        if figure.axis.reach:
+            axes[-1].set_xlim(figure.axis.reach)
         return svg(drawing, name)
 
 

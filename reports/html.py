@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,19 @@ from plotly.offline import get_plotlyjs
 from fmus.units import parse_unit
 from fmus.whole import write_whole
 from reports import figures, numbers, provenance, standing
+from reports.curves import draw_curve, read_curves
 from reports.definitions import definitions
-from reports.errors import Errors, declared_confusions, pool, samples_of
+from reports.errors import Errors, declared_confusions, nearest_rank, pool, samples_of
 from reports.folder import Case, Run, RunFolderError, read_run
+from reports.histograms import Histogram, declared_histograms, draw_histogram
 from reports.interactive import interactive, points_a_trace
 from reports.page import page_of
+from reports.powers import draw_power, read_powers
+from reports.published import published
 from reports.rankings import read_rankings
 from reports.scatter import scatter
 from reports.selection import METHODS, SelectionError, best, drawings, read_selection
-from reports.traces import TRUTH_COLOUR, declared_figures, part_colours
+from reports.traces import TRUTH_COLOUR, colours_of, declared_figures, part_colours
 
 TEMPLATES = Path(__file__).parent
 # More scenarios than this are drawn by experiment only, more cases than this are listed in metrics.csv only, and a
@@ -68,7 +72,17 @@ def render(run: Run) -> str:
         heat_maps=[(quantity, Markup(_heat_map(run, quantity, f"heat{n}"))) for n, quantity in enumerate(comparable)]
         if len(standing.scenarios(run)) > 1
         else [],
-        rankings=[(ranking, Markup(scatter(ranking, f"ranking{n}"))) for n, ranking in enumerate(read_rankings(run))],
+        curves=[
+            (curve, Markup(draw_curve(curve, titles, colours_of(run, list(curve.panels[0].lines)), f"curve{n}")))
+            for n, curve in enumerate(read_curves(run))
+        ],
+        powers=[
+            (power, Markup(draw_power(power, titles, colours_of(run, power.observers), f"power{n}")))
+            for n, power in enumerate(read_powers(run))
+        ],
+        rankings=[
+            (ranking, Markup(scatter(ranking, titles, f"ranking{n}"))) for n, ranking in enumerate(read_rankings(run))
+        ],
         figures=[
             (
                 figure,
@@ -80,6 +94,10 @@ def render(run: Run) -> str:
         ],
         points=points_a_trace(drawn),
         plotly=Markup(get_plotlyjs()) if any(plots) else "",
+        declared_histograms=[
+            (found, "" if found.problem else Markup(_drawn(run, found, titles, f"histogram{n}")))
+            for n, found in enumerate(declared_histograms(run))
+        ],
         histograms=_histograms(run, errors),
         confusions=[
             (matrix, Markup(figures.confusion(matrix, f"confusion{n}")) if len(matrix.classes) <= VALUES_DRAWN else "")
@@ -87,7 +105,7 @@ def render(run: Run) -> str:
         ],
         detections=_detections(run),
         delays=_delays(run),
-        published=_published(run),
+        published=published(run),
         selection=_selection(run),
         cases_listed=run.cases if len(run.cases) <= CASES_LISTED else (),
         metric_names=run.metric_names(),
@@ -148,6 +166,11 @@ def _heat_map(run: Run, quantity: standing.Quantity, name: str) -> str:
     return figures.heat_map(list(groups), columns, values, label, name)
 
 
+def _drawn(run: Run, found: Histogram, titles: Mapping[str, str], name: str) -> str:
+    parts = [errors.estimate.partition(".")[0] for errors in found.panels]
+    return draw_histogram(found, titles, colours_of(run, parts), name)
+
+
 def _histograms(run: Run, errors: Sequence[Errors]) -> list[tuple[str, Sequence[Errors], Markup]]:
     titles, colours = standing.observers(run), part_colours(run)
     by_truth: dict[str, list[Errors]] = {}
@@ -178,8 +201,8 @@ def _detections(run: Run) -> list[dict[str, Any]]:
                         "failed": sum(not case.complete for case in cases),
                         "changes": len(pooled),
                         "missed": int(np.isinf(pooled).sum()),
-                        "median": _nearest_rank(pooled, 0.5),
-                        "p95": _nearest_rank(pooled, 0.95),
+                        "median": nearest_rank(pooled, 0.5),
+                        "p95": nearest_rank(pooled, 0.95),
                         "unit": standing.unit_of(run, f"{name}.delay"),
                         "alarms": _mean(cases, rate),
                         "alarms_unit": standing.unit_of(run, rate),
@@ -212,29 +235,6 @@ def _in(unit: str, wanted: str) -> float:
 def _detection_names(run: Run) -> list[str]:
     sampled = {name for case in run.cases for name in case.samples if name.endswith(".delay")}
     return [name for name in definitions(run) if f"{name}.delay" in sampled]
-
-
-def _published(run: Run) -> list[dict[str, Any]]:
-    rows = []
-    for entry in (run.campaign.get("report") or {}).get("published") or ():
-        metric, experiment = str(entry.get("metric") or ""), entry.get("experiment")
-        cases = [case for case in run.cases if experiment in (None, case.experiment)]
-        values = [case.metrics[metric].value for case in cases if metric in case.metrics]
-        values = [value for value in values if not math.isnan(value)] or list(samples_of(run, metric, cases))
-        unit = standing.unit_of(run, metric)
-        ours = str(entry["ours"]) if entry.get("ours") is not None else "see the figures"
-        ours = f"{metric}: no case of {experiment or 'the campaign'} has it" if metric else ours
-        if len(values) == 1:
-            ours = numbers.with_unit(values[0], unit)
-        elif values:
-            spread = f"{numbers.short(min(values))} to {numbers.short(max(values))}"
-            ours = f"{numbers.with_unit(_nearest_rank(values, 0.5), unit)} (median of {len(values)}; {spread})"
-        rows.append({"experiment": "", "note": "", **entry, "ours": ours})
-    return rows
-
-
-def _nearest_rank(values: Sequence[float] | np.ndarray, share: float) -> float:
-    return float(np.quantile(values, share, method="inverted_cdf")) if len(values) else math.nan
 
 
 def _mean(cases: Iterable[Case], metric: str) -> float:

@@ -1,4 +1,4 @@
-"""Declared figures for plotly.js: stacked panels whose one time axis links them, thinned without losing extremes."""
+"""Declared figures for plotly.js: stacked panels that one axis links, thinned without losing extremes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from reports.envelope import Vector, envelope
-from reports.traces import FAULT_COLOUR, POINTS, TRUTH_COLOUR, Figure, Panel, Trace, Window, labelled
+from reports.faultwindows import Window, labelled
+from reports.traces import FAULT_COLOUR, POINTS, TRUTH_COLOUR, Figure, Panel, Trace
 
 # Points that all interactive traces of a page may have together.
 PAGE_POINTS = 150_000
@@ -21,11 +22,18 @@ def interactive(figure: Figure, points: int) -> dict[str, Any]:
     gap = min(0.06, 0.2 / count)
     height = (1.0 - gap * (count - 1)) / count
     data: list[dict[str, Any]] = []
-    shapes = [_shade(window) for window in figure.windows]
+    axis = figure.axis
+    shapes = [*map(_shade, figure.windows), *(_firing(at) for at, _ in axis.marks)]
     annotations = [
         _note(window.label, x=window.since, y=1.0, xref="x", yref="paper") | {"yshift": -14 * row}
         for row, window in labelled(figure.windows)
     ]
+    annotations += [
+        _note(cylinder, x=at, y=1.0, xref="x", yref="paper", yanchor="bottom") | {"xanchor": "center"}
+        for at, cylinder in axis.marks
+    ]
+    ticks = {"tickvals": axis.ticks} if axis.ticks else {}
+    reach = {"range": axis.reach} if axis.reach else {}
     layout: dict[str, Any] = {
         "height": 90 + 190 * count,
         "margin": {"l": 90, "r": 10, "t": 34, "b": 50},
@@ -35,7 +43,13 @@ def interactive(figure: Figure, points: int) -> dict[str, Any]:
         "font": {"family": "system-ui, sans-serif", "size": 12},
         "hovermode": "x",
         "hoversubplots": "axis",
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": "y" if count == 1 else f"y{count}", **_AXIS},
+        "xaxis": {
+            "title": {"text": axis.label},
+            "anchor": "y" if count == 1 else f"y{count}",
+            **ticks,
+            **reach,
+            **_AXIS,
+        },
         "shapes": shapes,
         "annotations": annotations,
     }
@@ -76,13 +90,13 @@ _AXIS = {
 
 
 def _line(trace: Trace, suffix: str, points: int) -> dict[str, Any]:
-    time, values = envelope(trace.time, trace.values, points)
+    along, values = envelope(trace.along, trace.values, points)
     unit = "" if trace.unit == "1" else f" {trace.unit}"
     return {
         "type": "scatter",
         "mode": "lines",
         "name": trace.name,
-        "x": _packed(time, "f8"),
+        "x": _packed(along, "f8"),
         "y": _packed(values, "f4"),
         "xaxis": "x",
         "yaxis": f"y{suffix}",
@@ -93,7 +107,9 @@ def _line(trace: Trace, suffix: str, points: int) -> dict[str, Any]:
             "width": 4 if trace.is_truth else 1.6,
             "shape": "hv" if trace.discrete else "linear",
         },
-        "opacity": 0.6 if trace.is_truth else 1.0,
+        "opacity": trace.strength * (0.6 if trace.is_truth else 1.0),
+        "legendgroup": trace.name,
+        "showlegend": trace.strength == 1.0,
         "hovertemplate": f"%{{y:.4~g}}{unit}<extra>{trace.name}</extra>",
     }
 
@@ -115,6 +131,11 @@ def _level(value: float, yref: str) -> dict[str, Any]:
 def _shade(window: Window) -> dict[str, Any]:
     span = {"xref": "x", "x0": window.since, "x1": window.until, "yref": "paper", "y0": 0, "y1": 1}
     return {"type": "rect", **span, "fillcolor": FAULT_COLOUR, "opacity": 0.15, "line": {"width": 0}, "layer": "below"}
+
+
+def _firing(at: float) -> dict[str, Any]:
+    line = {"color": TRUTH_COLOUR, "width": 1, "dash": "dot"}
+    return {"type": "line", "xref": "x", "x0": at, "x1": at, "yref": "paper", "y0": 0, "y1": 1, "line": line}
 
 
 def _note(text: str, *, x: float, y: float, xref: str, yref: str, yanchor: str = "top") -> dict[str, Any]:

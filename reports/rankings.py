@@ -19,10 +19,15 @@ ANSWERS = {
 
 @dataclass(frozen=True)
 class Ranked:
-    """A measure's values by observer (NaN: it has none) and their rank correlation with the medians of the metric."""
+    """A measure's values by observer (NaN: it has none) and their rank correlation with the medians of the metric.
+
+    Of a measure that is a metric itself, named in `metric`, the values are its medians, in `unit`.
+    """
 
     name: str
     title: str
+    metric: str
+    unit: str
     higher_is_better: bool
     values: Mapping[str, float]
     correlation: float
@@ -96,6 +101,8 @@ def _measure(entry: Mapping[str, Any]) -> Ranked:
     return Ranked(
         name=str(entry["name"]),
         title=str(entry["title"]),
+        metric=str(entry.get("metric") or ""),
+        unit=str(entry.get("unit") or "1"),
         higher_is_better=entry["better"] == "higher",
         values={str(name): _or(value, math.nan) for name, value in entry["values"].items()},
         correlation=_or(entry["correlation"], math.nan),

@@ -1,4 +1,4 @@
-"""Reads recorded signals: only the columns asked for, whole, in pieces, or thinned for drawing."""
+"""Reads recorded signals: only the columns asked for, whole or in pieces."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from fmus.model import unknown
 from fmus.units import UnitError, parse_unit
-from reports.envelope import Envelope
 from reports.folder import Case, Run, RunFolderError
 
 Vector = NDArray[np.float64]
@@ -60,7 +59,7 @@ def read_columns(run: Run, case: Case, names: Sequence[str] | None = None) -> Co
     Raises RunFolderError: the case left no record, or the file is damaged. Raises KeyError with the nearest name: a
     signal was not recorded.
     """
-    with _open_with(run, case, names or ()) as file:
+    with open_with(run, case, names or ()) as file:
         return _columns(file.read(columns=_wanted(file.schema_arrow.names if names is None else names)))
 
 
@@ -76,7 +75,7 @@ class Recorded:
         """The signals, row group by row group."""
         if self.signals:
             with _open(self.path) as file:
-                yield from _groups(file, self.signals)
+                yield from groups(file, self.signals)
 
 
 def find_recorded(run: Run, case: Case, names: Collection[str]) -> Recorded:
@@ -88,8 +87,7 @@ def find_recorded(run: Run, case: Case, names: Collection[str]) -> Recorded:
     if not path.is_file():
         return Recorded(0, {}, path)
     with _open(path) as file:
-        empty = _columns(file.schema_arrow.empty_table())
-        signals = {name: column for name, column in empty.signals.items() if name in names}
+        signals = {name: column for name, column in without_values(file).items() if name in names}
         return Recorded(file.metadata.num_rows, signals, path)
 
 
@@ -113,12 +111,12 @@ def read_fault_signals(run: Run, case: Case) -> Mapping[str, Steps]:
     if not path.is_file():
         return {}
     with _open(path) as file:
-        told = _columns(file.schema_arrow.empty_table()).signals
+        told = without_values(file)
         signals = {name: one for name, one in told.items() if one.description.startswith(TELLS_FAULTS)}
         edges: dict[str, list[Vector]] = {name: [np.empty(0)] for name in signals}
         values: dict[str, list[Vector]] = {name: [np.empty(0)] for name in signals}
         before, last = dict.fromkeys(signals, np.nan), np.empty(0)
-        for columns in _groups(file, signals) if signals else ():
+        for columns in groups(file, signals) if signals else ():
             for name, column in columns.signals.items():
                 begins = np.diff(column.values, prepend=before[name]) != 0.0  # so does the first, by NaN
                 edges[name].append(columns.time[begins])
@@ -129,42 +127,6 @@ def read_fault_signals(run: Run, case: Case) -> Mapping[str, Steps]:
         name: Steps(np.concatenate([*edges[name], last]), replace(column, values=np.concatenate(values[name])))
         for name, column in signals.items()
     }
-
-
-@dataclass(frozen=True)
-class Thinned:
-    """Signals of one case, each over times of its own, and the first and the last time of the `rows` they stand for."""
-
-    rows: int
-    first: float
-    last: float
-    signals: Mapping[str, tuple[Vector, Column]]
-
-
-def read_thinned(run: Run, case: Case, names: Sequence[str], span: tuple[float, float], points: int) -> Thinned:
-    """The signals `names` of a case within a span of time [s], ends included, thinned to at most about `points`.
-
-    Raises RunFolderError: the case left no record, or the file is damaged. Raises KeyError with the nearest name: a
-    signal was not recorded.
-    """
-    with _open_with(run, case, names) as file:
-        rows, first, last = 0, np.nan, np.nan
-        for columns in _groups(file, ()):
-            time = columns.time[(columns.time >= span[0]) & (columns.time <= span[1])]
-            if len(time):
-                first = first if rows else time[0]
-                rows, last = rows + len(time), time[-1]
-        kept = {name: Envelope(rows, points) for name in names}
-        for columns in _groups(file, names):
-            drawn = (columns.time >= span[0]) & (columns.time <= span[1])
-            for name, envelope in kept.items():
-                envelope.add(columns.time[drawn], columns.signals[name].values[drawn])
-        empty = _columns(file.schema_arrow.empty_table()).signals
-    signals = {}
-    for name, envelope in kept.items():
-        times, values = envelope.samples()
-        signals[name] = (times, replace(empty[name], values=values))
-    return Thinned(rows, float(first), float(last), signals)
 
 
 def from_si(values: Vector, unit: str) -> Vector:
@@ -195,8 +157,12 @@ def _open(path: Path) -> pq.ParquetFile:
         raise RunFolderError(f"{path}: wants Parquet, got {error}") from error
 
 
-def _open_with(run: Run, case: Case, names: Collection[str]) -> pq.ParquetFile:
-    """The record of a case in which all these signals are."""
+def open_with(run: Run, case: Case, names: Collection[str]) -> pq.ParquetFile:
+    """The record of a case in which all these signals are.
+
+    Raises RunFolderError: the case left no record, or the file is damaged. Raises KeyError with the nearest name: a
+    signal was not recorded.
+    """
     path = _path(run, case)
     if not path.is_file():
         raise RunFolderError(f"{path} is missing: case {case.label} ({case.outcome}) left no record")
@@ -209,11 +175,16 @@ def _open_with(run: Run, case: Case, names: Collection[str]) -> pq.ParquetFile:
     return file
 
 
+def without_values(file: pq.ParquetFile) -> Mapping[str, Column]:
+    """All signals of a record, without their values."""
+    return _columns(file.schema_arrow.empty_table()).signals
+
+
 def _wanted(names: Collection[str]) -> list[str]:
     return list(dict.fromkeys(["time", *names]))
 
 
-def _groups(file: pq.ParquetFile, names: Collection[str]) -> Iterator[Columns]:
+def groups(file: pq.ParquetFile, names: Collection[str]) -> Iterator[Columns]:
     """The signals row group by row group; `iter_batches` would hold all of the file's columns as they are packed."""
     for group in range(file.num_row_groups):
         if file.metadata.row_group(group).num_rows:

@@ -1,17 +1,21 @@
-"""The figures a campaign declares: which signals of which case, in what unit, colour and panel."""
+"""The figures a campaign declares: which signals of which case, over what, in what unit, colour and panel."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
 
 from fmus.units import UnitError, parse_quantity, parse_unit
+from reports.along import Cycles, Ends, Thinned, read_along
+from reports.axis import TIME, Axis, axis_over, engine_of
+from reports.declared import degrees, si
 from reports.definitions import definitions
+from reports.faultwindows import Window, fault_windows
 from reports.folder import Case, Run, RunFolderError
-from reports.signals import Column, Steps, Vector, read_fault_signals, read_thinned, same_dimension
+from reports.signals import Column, Vector, same_dimension
 from reports.standing import observers
 
 # Okabe and Ito's colours (the blue lighter), readable on light and dark and by the colour-blind; the truth is grey.
@@ -33,16 +37,20 @@ DASHES = ("solid", "dash", "dot", "dashdot")
 
 @dataclass(frozen=True)
 class Trace:
-    """One line of a panel: values of shape (n,) in the panel's unit over time [s], thinned where they were many."""
+    """One line of a panel: values of shape (n,) in the panel's unit along its axis, thinned where they were many.
+
+    Of cycles laid over each other each has a line; the `strength` of the last is 1, and it stands in the legend.
+    """
 
     name: str
-    time: Vector
+    along: Vector
     values: Vector
     unit: str
     discrete: bool
     colour: str
     dash: str
     is_truth: bool
+    strength: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -55,19 +63,10 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Window:
-    """A stretch of time in which a fault is active [s]."""
-
-    label: str
-    since: float
-    until: float
-
-
-@dataclass(frozen=True)
 class Figure:
     """A declared figure with its data; where it cannot be drawn, `problem` says why and there are no panels.
 
-    `rows` is how many rows of the record its traces stand for.
+    `rows` is how many rows of the record its traces stand for, `cycles` how many are laid over each other.
     """
 
     title: str
@@ -76,6 +75,8 @@ class Figure:
     windows: tuple[Window, ...] = ()
     problem: str = ""
     rows: int = 0
+    axis: Axis = TIME
+    cycles: int = 0
 
 
 def declared_figures(run: Run) -> list[Figure]:
@@ -88,58 +89,12 @@ def part_colours(run: Run) -> dict[str, str]:
     return {part: COLOURS[index % len(COLOURS)] for index, part in enumerate(observers(run))}
 
 
-def labelled(windows: Sequence[Window]) -> list[tuple[int, Window]]:
-    """The first window of each label, numbered from 0: labels stand one below the other, so that none hides another."""
-    first: dict[str, Window] = {}
-    for window in windows:
-        first.setdefault(window.label, window)
-    return list(enumerate(first.values()))
-
-
-def fault_windows(run: Run, case: Case, begin: float, stop: float) -> tuple[Window, ...]:
-    """When faults act between two times [s]: as recorded, else as the campaign declares and the case overrides them."""
-    signals = read_fault_signals(run, case)
-    windows = list(_recorded_windows(signals, begin, stop))
-    told = {name.partition(".")[0] for name in signals}
-    for part, spec in (run.campaign.get("parts") or {}).items():
-        if part in told:
-            continue
-        declared = spec.get("faults") if isinstance(spec, Mapping) else None
-        for index, fault in enumerate(_overridden(run, case, f"{part}.faults", declared or [])):
-            settings = {key: value for key, value in fault.items() if value is not None}
-            settings |= _changed(run, case, f"{part}.faults.{index}.")
-            since, until = (_si(settings.pop(key, None), "s") for key in ("from", "to"))
-            settings.pop("code", None)
-            kind = ", ".join(key if value is True else f"{key} {value}" for key, value in settings.items())
-            if since is not None and since < stop:
-                windows.append(Window(f"{part}: {kind}", since, stop if until is None else min(until, stop)))
-    return tuple(sorted(windows, key=lambda window: window.since))
-
-
-def _recorded_windows(signals: Mapping[str, Steps], begin: float, stop: float) -> Iterator[Window]:
-    """The stretches in which a fault signal stays at one code, each from its first row to the first row after it."""
-    for name, steps in signals.items():
-        meanings = dict(item.split(": ", 1) for item in steps.column.description.split("; ")[1:])
-        stretches = zip(pairwise(steps.edges.tolist()), steps.column.values, strict=True)
-        for (since, until), code in stretches:
-            if code and since < stop and until > begin:
-                meaning = meanings.get(f"{code:g}", f"fault {code:g}")
-                yield Window(f"{name.partition('.')[0]}: {meaning}", max(since, begin), min(until, stop))
-
-
-def _overridden(run: Run, case: Case, path: str, declared: Any) -> list[Mapping[str, Any]]:
-    value = _settings(run, case).get(path, declared)
-    return [fault for fault in value if isinstance(fault, Mapping)] if isinstance(value, list) else []
-
-
-def _changed(run: Run, case: Case, prefix: str) -> dict[str, Any]:
-    settings = {**_settings(run, case), **case.values}
-    return {path.removeprefix(prefix): value for path, value in settings.items() if path.startswith(prefix)}
-
-
-def _settings(run: Run, case: Case) -> Mapping[str, Any]:
-    experiments = run.campaign.get("experiments") or {}
-    return (experiments.get(case.experiment) or {}).get("set") or {}
+def colours_of(run: Run, parts: Sequence[str]) -> dict[str, str]:
+    """A colour for each of the parts: that of an observer in all figures, for others those that are left, in turn."""
+    known = part_colours(run)
+    spare = [colour for colour in COLOURS if colour not in known.values()] or list(COLOURS)
+    others = [part for part in parts if part not in known]
+    return {**known, **{part: spare[index % len(spare)] for index, part in enumerate(others)}}
 
 
 def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
@@ -156,24 +111,67 @@ def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
             problem=f"no case of {experiment or 'the campaign'} left a record ({len(cases)} declared)",
         )
     groups = [[group] if isinstance(group, str) else list(group) for group in entry.get("traces") or ()]
-    begin, end = _si(entry.get("from"), "s"), _si(entry.get("to"), "s")
-    span = (-math.inf if begin is None else begin, math.inf if end is None else end)
+    over, angle = str(entry.get("over") or "time"), str(entry.get("angle") or "")
+    engine = engine_of(run, case, angle, entry.get("cycle"))
+    overlaid = Cycles(engine.cycle, _last(entry)) if over == "cycle" else None
+    names = [name for group in groups for name in group]
+    along: Literal["time", "crank"] = "time" if over == "time" else "crank"
     try:
-        thinned = read_thinned(run, case, [name for group in groups for name in group], span, POINTS)
+        thinned = read_along(run, case, names, along, ends_of(entry), POINTS, angle, overlaid)
     except (KeyError, RunFolderError) as error:
         return Figure(title, case, problem=str(error.args[0]))
     if not thinned.rows:
-        return Figure(title, case, problem=f"the record of {case.label} ({case.outcome}) has no rows to draw")
+        what = f"no whole cycle of {engine.cycle:g} deg" if overlaid else "no rows to draw"
+        return Figure(title, case, problem=f"the record of {case.label} ({case.outcome}) has {what}")
+    thinned = _in_cycles(thinned, engine.cycle) if over == "cycles" else thinned
     unit = str(entry.get("unit") or "")
-    panels = [_panel(run, group, thinned.signals, entry.get("lines") or {}, unit) for group in groups]
-    windows = fault_windows(run, case, thinned.first, thinned.last)
-    return Figure(title, case, tuple(panels), windows, rows=thinned.rows)
+    panels = [_panel(run, group, thinned.pieces, entry.get("lines") or {}, unit) for group in groups]
+    windows = () if overlaid else fault_windows(run, case, *thinned.time)
+    return Figure(
+        title,
+        case,
+        tuple(panels),
+        windows if along == "time" else _along(windows, thinned.passed),
+        rows=thinned.rows,
+        axis=axis_over(over, engine, *thinned.crank),
+        cycles=len(thinned.pieces) if overlaid else 0,
+    )
+
+
+def ends_of(entry: Mapping[str, Any]) -> Ends:
+    """The `from` and `to` of something declared, each a time or a crank angle."""
+    ends = Ends()
+    for index, raw in enumerate((entry.get("from"), entry.get("to"))):
+        for along, at in {"time": si(raw, "s"), "crank": degrees(raw)}.items():
+            if at is not None:
+                known = list(getattr(ends, along))
+                known[index] = at
+                ends = ends._replace(**{along: tuple(known)})
+    return ends
+
+
+def _last(entry: Mapping[str, Any]) -> int | None:
+    """How many whole cycles are laid over each other: as many as are asked for, else all of a stretch, else one."""
+    named = entry.get("from") is not None or entry.get("to") is not None
+    return int(entry["last"]) if entry.get("last") else None if named else 1
+
+
+def _in_cycles(thinned: Thinned, cycle: float) -> Thinned:
+    """The same with places counted in cycles."""
+    pieces = tuple({name: (at / cycle, column) for name, (at, column) in one.items()} for one in thinned.pieces)
+    return replace(thinned, pieces=pieces, passed=(thinned.passed[0], thinned.passed[1] / cycle))
+
+
+def _along(windows: Sequence[Window], passed: tuple[Vector, Vector]) -> tuple[Window, ...]:
+    """Windows of time [s] where they are along the axis."""
+    edges = [np.interp((window.since, window.until), *passed) for window in windows]
+    return tuple(Window(window.label, *map(float, at)) for window, at in zip(windows, edges, strict=True))
 
 
 def _panel(
     run: Run,
     names: Sequence[str],
-    signals: Mapping[str, tuple[Vector, Column]],
+    pieces: Sequence[Mapping[str, tuple[Vector, Column]]],
     lines: Mapping[str, str],
     unit: str,
 ) -> Panel:
@@ -182,29 +180,21 @@ def _panel(
     spare = [colour for colour in COLOURS if colour not in colours.values()] or list(COLOURS)
     traces: list[Trace] = []
     drawn: dict[str, int] = {}
-    for name in names:
-        part, (time, column) = name.split(".")[0], signals[name]
+    for index, name in enumerate(names):
+        part = name.split(".")[0]
         is_truth = name in truths and part not in colours
-        colour = TRUTH_COLOUR if is_truth else colours.get(part) or spare[len(traces) % len(spare)]
+        colour = TRUTH_COLOUR if is_truth else colours.get(part) or spare[index % len(spare)]
         dash = DASHES[drawn.get(colour, 0) % len(DASHES)]
         drawn[colour] = drawn.get(colour, 0) + 1
-        shown = column.shown_in(unit)
-        traces.append(
-            Trace(
-                name,
-                time,
-                column.shown(unit),
-                shown,
-                column.discrete,
-                colour,
-                dash,
-                is_truth,
-            )
-        )
+        for number, piece in enumerate(pieces, start=1):
+            along, column = piece[name]
+            values, shown = column.shown(unit), column.shown_in(unit)
+            strength = 0.2 + 0.6 * number / len(pieces) if number < len(pieces) else 1.0
+            traces.append(Trace(name, along, values, shown, column.discrete, colour, dash, is_truth, strength))
     units = list(dict.fromkeys(trace.unit for trace in traces))
-    common = _common([trace.name for trace in traces])
+    common = _common(names)
     label = f"{common} [{', '.join(units)}]" if units != ["1"] else common
-    at = [(_si(text, units[0]), str(meaning)) for text, meaning in lines.items() if _fits(text, units[0])]
+    at = [(si(text, units[0]), str(meaning)) for text, meaning in lines.items() if _fits(text, units[0])]
     scale = parse_unit(units[0]) if at else None
     return Panel(
         label,
@@ -223,13 +213,3 @@ def _fits(text: str, unit: str) -> bool:
         return same_dimension(parse_quantity(str(text))[1] or "1", unit)
     except UnitError:
         return False
-
-
-def _si(raw: Any, unit: str) -> float | None:
-    if raw is None:
-        return None
-    try:
-        number, written = parse_quantity(str(raw))
-        return parse_unit(written or unit).to_si(number) if same_dimension(written or unit, unit) else None
-    except UnitError:
-        return None

@@ -19,7 +19,7 @@ from harness.operating import Operation
 from harness.preflight import preflight
 from harness.rankings import correlate, median_cost, rankings_content, spearman
 from harness.reportsection import Ranking
-from harness.runfolder import plain, write_rankings
+from harness.runfolder import plain, write_json
 from harness.selecting import SHOWN, select
 from harness.wishes import Wishes
 from reports.folder import RunFolderError, read_run
@@ -258,7 +258,7 @@ def test_metrics_of_two_units_are_not_ranked_together(tmp_path):
 
 def test_a_damaged_rankings_file_is_named(tmp_path):
     folder = build_run(tmp_path / "run")
-    write_rankings(folder, [{"title": "only"}])
+    write_json(folder / "rankings.json", [{"title": "only"}])
     with pytest.raises(RunFolderError, match=r"rankings\.json: an entry is not what a ranking wants: KeyError"):
         read_rankings(read_run(folder))
 
@@ -279,3 +279,82 @@ def test_the_report_draws_sets_without_a_value_and_never_computes_a_correlation(
     said = page_of(folder).text("rankings")
     for text in ("0.12", "-0.4 to 0.6", "not shown: the interval holds zero", "A note.", "seed 4"):
         assert text in said.replace("\N{MINUS SIGN}", "-"), text
+
+
+def test_a_measure_that_is_a_metric_is_drawn_anew_with_the_same_cases():
+    draw = np.random.default_rng(4)
+    level = np.arange(8.0)[:, None]
+    shared = draw.normal(scale=30.0, size=(1, 5))
+    costs = level + shared  # what disturbs a case disturbs it for all observers
+    found = correlate(2.0 * costs, costs, 500, 3)
+    # Drawn with the same cases both medians keep one order in every resample.
+    assert found.value == found.lower == found.upper == pytest.approx(1.0)
+    plain_medians = correlate(np.median(costs, axis=1), costs, 500, 3)
+    assert plain_medians.value == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("cases", [1, 6])
+def test_the_correlation_of_two_metrics_is_that_of_scipy_of_their_medians(cases):
+    draw = np.random.default_rng(8)
+    one, other = draw.normal(size=(2, 9, cases))
+    expected = stats.spearmanr(np.median(one, axis=1), np.median(other, axis=1)).statistic
+    assert correlate(one, other, 200, 0).value == pytest.approx(expected, abs=1e-14)
+
+
+EXPECTED = """\
+    - title: Does what is expected come?
+      metric: 'error_{observer}'
+      resamples: 200
+      measures:
+        expected: {title: expected error, values: {fine: 0.1, fair: 1, poor: 10}}
+        largest: {title: largest error, metric: 'largest_{observer}', observers: [fine, fair, poor]}
+"""
+LARGEST = """\
+  largest_fine: {max_error: [plant.y, fine.value], unit: rpm}
+  largest_fair: {max_error: [plant.y, fair.value], unit: rpm}
+  largest_poor: {max_error: [plant.y, poor.value], unit: rpm}
+report:
+  observers: {fine: {title: Fine encoder}, fair: {title: Fair encoder}, poor: {title: Poor encoder}}
+"""
+
+
+def test_one_metric_is_drawn_against_another_with_the_observers_named(tmp_path):
+    text = CAMPAIGN.replace("report:\n", LARGEST) + EXPECTED
+    execute(read(tmp_path, text), tmp_path / "run", 1, lambda ended: None)
+    run = read_run(tmp_path / "run")
+    ranking = read_rankings(run)[1]
+    expected, largest = ranking.measures
+    assert (expected.unit, largest.unit, largest.metric) == ("1", "rpm", "largest_{observer}")
+    for observer, value in largest.values.items():
+        assert value == pytest.approx(np.median([case.metrics[f"largest_{observer}"].value for case in run.cases]))
+    assert expected.correlation == largest.correlation == pytest.approx(1.0)
+    said = page_of(tmp_path / "run").text("rankings")
+    assert said.count("Fine encoder") == 4  # beside its point in each of the four panels
+    assert "largest error [rpm]" in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (", observers: [fine, fair, poor]}", "}", "measures.largest wants values of 3 observers or more, got 0"),
+        ("fair, poor]}", "fair, poor], values: {fine: 1}}", "wants values by observer, or a metric with observers"),
+        ("'largest_{observer}'", "'lrgest_{observer}'", "no metric with one value a case is named 'lrgest_fine'"),
+        ("observers: [fine,", "observers: [fime,", "no part is named 'fime'; did you mean 'fine'?"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_measure_that_is_a_metric_is_told(tmp_path, old, new, told):
+    text = CAMPAIGN.replace("report:\n", LARGEST) + EXPECTED
+    assert old in text
+    found = problems(tmp_path, text.replace(old, new))
+    assert any(told in one and "ranked.yaml:" in one for one in found), found
+
+
+def test_a_measure_of_metrics_of_two_units_is_refused(tmp_path):
+    text = CAMPAIGN.replace("report:\n", LARGEST) + EXPECTED
+    text = text.replace(
+        "{max_error: [plant.y, poor.value], unit: rpm}", "{max_error: [plant.y, poor.value], unit: rad/s}"
+    )
+    with pytest.raises(
+        ConfigurationError, match=r"a ranking wants one unit, got largest_fine in rpm and largest_poor in"
+    ):
+        preflight(read(tmp_path, text))

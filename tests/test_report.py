@@ -223,8 +223,8 @@ def test_a_figure_may_show_a_window_of_time(tmp_path):
     (figure,) = declared_figures(read_run(folder))
     for panel in figure.panels:
         for trace in panel.traces:
-            assert (trace.time[0], trace.time[-1]) == (pytest.approx(1.0), pytest.approx(2.0))
-            assert len(trace.values) == len(trace.time)
+            assert (trace.along[0], trace.along[-1]) == (pytest.approx(1.0), pytest.approx(2.0))
+            assert len(trace.values) == len(trace.along)
 
 
 def test_an_error_is_better_when_less_even_where_a_criterion_bounds_it_from_below(tmp_path):

@@ -100,9 +100,9 @@ def test_a_trace_of_many_rows_is_thinned_and_says_of_how_many(tmp_path: Path) ->
     assert figure.rows == 40_001
     whole = run.signals(figure.case.key, ["hybrid.theta_e"])["hybrid.theta_e"]  # type: ignore[union-attr]
     trace = next(one for panel in figure.panels for one in panel.traces if one.name == "hybrid.theta_e")
-    assert len(trace.time) <= POINTS + 2
+    assert len(trace.along) <= POINTS + 2
     expected = plainly_thinned(whole.index.to_numpy(), whole.to_numpy(), POINTS)
-    assert np.array_equal((trace.time, trace.values), expected)
+    assert np.array_equal((trace.along, trace.values), expected)
     assert f"thinned from {figure.rows} to about" in render(run)
 
 
