@@ -28,6 +28,7 @@ from observers.imbalance import (
 from observers.path_inversion import (
     CYLINDERS,
     INTERVAL,
+    RADIANS,
     RAISED_COSINE,
     Path,
     Pattern,
@@ -54,27 +55,27 @@ def make(
     false_alarm_rate: float = 1e-3,
     persistence: int = 1,
     firing_order: Sequence[int] = (1, 3, 4, 2),
-    origin: Annotated[float, "deg"] = 0.0,
-    evo: Annotated[float, "deg"] = 135.0,
-    evc: Annotated[float, "deg"] = 375.0,
-    pulse: Annotated[float | None, "deg"] = None,
-    centre: Annotated[float | None, "deg"] = None,
+    origin: Annotated[float, "rad"] = 0.0,
+    evo: Annotated[float, "rad"] = 135.0 * RADIANS,
+    evc: Annotated[float, "rad"] = 375.0 * RADIANS,
+    pulse: Annotated[float | None, "rad"] = None,
+    centre: Annotated[float | None, "rad"] = None,
     mixing_time: Annotated[float, "s"] = 0.0,
-    mixing_angle: Annotated[float, "deg"] = 0.0,
+    mixing_angle: Annotated[float, "rad"] = 0.0,
     delay_time: Annotated[float, "s"] = 0.0,
-    delay_angle: Annotated[float, "deg"] = 0.0,
+    delay_angle: Annotated[float, "rad"] = 0.0,
     cells: int = 0,
     lags: Annotated[Sequence[float] | float, "s"] = (),
-    longest_step: Annotated[float, "deg"] = 60.0,
+    longest_step: Annotated[float, "rad"] = 60.0 * RADIANS,
     sample_time: Annotated[float, "s"] = 0.0,
 ) -> Model:
     """At the end of each cycle: means over exhaust phases, harmonics, each cylinder's deviation, a verdict.
 
     Paper 004 (SAE 2006), From oscillations to imbalance diagnosis: `mean_i` is the mean of w from `evo` to `evc` after
     cylinder i's firing top dead centre, `E_k` = sqrt(|c_k|^2 + |c_-k|^2). `estimate` is what the decision rests on:
-    `exhaust_mean`, those means less their mean; or `path`, what `observers.path_inversion.locate` makes of c_1..c_3 with
-    the `pulse`, `centre`, `mixing_*`, `delay_*`, `cells` and `lags` of `observers.path_inversion.Path`. Where `centre` and
-    `pulse` are absent they are those of a raised cosine from `evo` to `evc`.
+    `exhaust_mean`, those means less their mean; or `path`, what `observers.path_inversion.locate` makes of c_1..c_3, of
+    `pulse`, `centre`, `mixing_*`, `delay_*`, `cells` and `lags` as in `observers.path_inversion.Path`. Where `centre`
+    and `pulse` are absent they are those of a raised cosine from `evo` to `evc`.
 
     `noise` is the standard deviation of white noise on w, `scatter` that of each cylinder's own AFR from cycle to cycle
     or, where the noise is not white, of the deviations themselves; both in the unit of w. The verdict is on where the
@@ -89,10 +90,11 @@ def make(
     if estimate not in estimators:
         found.add(f"estimate: {unknown(str(estimate), estimators, 'estimate')}")
     check_decision(firing_order, false_alarm_rate, persistence, sample_time, found)
-    if not 0.0 < evc - evo < 360.0:
+    opens, closes, longest = evo / RADIANS, evc / RADIANS, longest_step / RADIANS  # deg, as all angles in the model
+    if not 0.0 < closes - opens < 360.0:
         told = "evc wants to come after evo, by less than 360 deg, over which means of opposite cylinders see the same"
-        found.add(f"{told}; got {evo:g} to {evc:g} deg")
-    even = RAISED_COSINE * (evc - evo) if pulse is None else pulse
+        found.add(f"{told}; got {opens:g} to {closes:g} deg")
+    even = RAISED_COSINE * (closes - opens) if pulse is None else pulse / RADIANS
     if not 0.0 < even < 360.0:
         found.add(f"pulse wants more than 0 and less than 360 deg, where nothing is left of c_2, got {even:g} deg")
     named = {"mixing_time": mixing_time, "mixing_angle": mixing_angle, "delay_time": delay_time}
@@ -105,10 +107,10 @@ def make(
     if noise == 0.0 and scatter == 0.0:
         found.add("noise and scatter want one above 0: without either every deviation is a fault")
     # The harmonics of a cycle want seven samples at least.
-    if not 0.0 < longest_step <= 90.0:
-        found.add(f"longest_step wants more than 0 deg and 90 deg at most, got {longest_step:g} deg")
+    if not 0.0 < longest <= 90.0:
+        found.add(f"longest_step wants more than 0 deg and 90 deg at most, got {longest:g} deg")
     found.end()
-    middle = (evo + evc) / 2.0 if centre is None else centre
+    middle = (opens + closes) / 2.0 if centre is None else centre / RADIANS
     return _model(
         estimators[estimate],
         list(firing_order),
@@ -117,17 +119,19 @@ def make(
             Signal("noise", "1", noise, "standard deviation of white noise on w, in its unit"),
             Signal("scatter", "1", scatter, "standard deviation of each cylinder's AFR without a fault"),
             Signal("persistence", "1", float(persistence), "cycles in a row that move the verdict"),
-            Signal("origin", "deg", origin, "firing top dead centre of the first cylinder in firing order"),
-            Signal("evo", "deg", evo, "exhaust valve opens, after firing top dead centre"),
-            Signal("evc", "deg", evc, "exhaust valve closes, after firing top dead centre"),
+            Signal("origin", "deg", origin / RADIANS, "firing top dead centre of the first cylinder in firing order"),
+            Signal("evo", "deg", opens, "exhaust valve opens, after firing top dead centre"),
+            Signal("evc", "deg", closes, "exhaust valve closes, after firing top dead centre"),
             Signal("pulse", "deg", even, "over which a cylinder's charge passes"),
             Signal("centre", "deg", middle, "middle of the pulse, after firing top dead centre"),
             Signal("mixing_time", "s", mixing_time, "mixing of the manifold, what is fixed in time"),
-            Signal("mixing_angle", "deg", mixing_angle, "mixing of the manifold, what is fixed in crank angle"),
+            Signal(
+                "mixing_angle", "deg", mixing_angle / RADIANS, "mixing of the manifold, what is fixed in crank angle"
+            ),
             Signal("delay_time", "s", delay_time, "transport, what is fixed in time"),
-            Signal("delay_angle", "deg", delay_angle, "transport, what is fixed in crank angle"),
+            Signal("delay_angle", "deg", delay_angle / RADIANS, "transport, what is fixed in crank angle"),
             Signal("lags", "s", lags or (0.0,), "first-order lags of the sensor", shape=(len(lags) or 1,)),
-            Signal("longest_step", "deg", longest_step, "a cycle with a longer step does not count"),
+            Signal("longest_step", "deg", longest, "a cycle with a longer step does not count"),
             Signal("sample_time", "s", sample_time, "time from sampling to sampling, 0 at each step"),
         ),
     )

@@ -12,7 +12,7 @@ from fmus.crankcycle import passes
 from fmus.model import Model, Values
 from observers.given import Complaints
 from observers.imbalance import Held, check_decision, largest, persist, threshold_of
-from observers.path_inversion import CYLINDERS, INTERVAL
+from observers.path_inversion import CYLINDERS, INTERVAL, RADIANS
 
 COEFFICIENTS = ("c_1_re", "c_1_im", "c_2_re", "c_2_im")
 
@@ -23,8 +23,8 @@ def make(
     false_alarm_rate: float = 1e-3,
     persistence: int = 1,
     firing_order: Sequence[int] = (1, 3, 4, 2),
-    origin: Annotated[float, "deg"] = 0.0,
-    window_end: Annotated[float, "deg"] = 180.0,
+    origin: Annotated[float, "rad"] = 0.0,
+    window_end: Annotated[float, "rad"] = np.pi,
     sample_time: Annotated[float, "s"] = 0.0,
 ) -> Model:
     """V_i = sum of |c_k|^2 over k = -2..2 but 0, taken at the end of cylinder i's stroke, and V_i less the mean of all.
@@ -65,8 +65,8 @@ def make(
             Signal("scatter", "rad2/s2", scatter, "standard deviation of V_i without a fault"),
             Signal("relative_scatter", "1", relative_scatter, "the same, as a share of the mean of V"),
             Signal("persistence", "1", float(persistence), "cycles in a row that move the verdict"),
-            Signal("origin", "deg", origin, "firing top dead centre of the first cylinder in firing order"),
-            Signal("window_end", "deg", window_end, "end of a stroke, after firing top dead centre"),
+            Signal("origin", "deg", origin / RADIANS, "firing top dead centre of the first cylinder in firing order"),
+            Signal("window_end", "deg", window_end / RADIANS, "end of a stroke, after firing top dead centre"),
             Signal("limit", "1", threshold, "threshold of the statistic, chi-square of 3"),
             Signal("sample_time", "s", sample_time, "time from sampling to sampling, 0 at each step"),
         ),

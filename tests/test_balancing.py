@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from filtered import Filter, TwinFilter
 from hypothesis import given, settings
@@ -11,6 +12,8 @@ from hypothesis import strategies as st
 from fmus.component import ConfigurationError
 from fmus.controllers import balancing
 from fmus.controllers.balancing import largest_reset, loop_poles
+from harness.campaign import read_campaign
+from harness.cases import execute
 
 M_F = 2e-5
 OFFSETS = np.array([0.12, -0.05, 0.02, -0.09])  # injectors' relative errors, zero sum
@@ -178,3 +181,68 @@ def test_all_that_is_wrong_with_the_arguments_is_told_at_once():
     with pytest.raises(ConfigurationError, match=r"k_i may be up to 0\.5"):
         balancing.make(k_p=0.0, k_i=0.7, delay=2)
     assert balancing.make(k_p=0.0, k_i=0.7, delay=2, gain_margin=1.0).name == "balancing"
+
+
+CLOSED = """\
+campaign: closed
+clock: {CLOCK}
+parts:
+  engine:
+    use: imbalanced_exhaust
+    with: {offset_1: 0.1, offset_2: 0.25, offset_3: -0.05}
+    wires: {m_f_1: pi.m_f_1, m_f_2: pi.m_f_2, m_f_3: pi.m_f_3, m_f_4: pi.m_f_4}
+  crank: {CRANK}
+  uego: {use: sensor, of: engine.afr, noise: {std: 0.01}}
+  speed: {use: source, unit: rad/s, constant: 1500 rpm}
+  m_f: {use: source, unit: kg, constant: 2e-5 kg}
+  enable: {use: source, unit: "1", table: {time: [0 s, 3 s, 5 s], value: [1, 0, 1]}}
+  diagnosis:
+    use: observers.diagnosis
+    with: {noise: 0.01, scatter: 0.1, pulse: 180 deg, centre: 225 deg, mixing_time: 30 ms}
+    wires: {w: uego, angle: crank.angle, omega: speed}
+  pi:
+    use: fmus.controllers.balancing
+    with: {k_p: 0.1, k_i: 0.1}
+    wires:
+      deviation_1: diagnosis.deviation_1
+      deviation_2: diagnosis.deviation_2
+      deviation_3: diagnosis.deviation_3
+      deviation_4: diagnosis.deviation_4
+      m_f: m_f
+      enable: enable
+      angle: crank.angle
+"""
+CLOCKS = {
+    "crank": ("{crank: {step: 6 deg, stop: 8 s, speed: speed}}", "{use: crank}"),
+    "time": ("{time: {step: 1 ms, stop: 8 s}}", "{use: crank, of: engine.angle}"),
+}
+
+
+@pytest.mark.parametrize("kind", CLOCKS)
+def test_on_either_clock_diagnosis_and_balancing_bring_an_engine_together_and_let_it_go(tmp_path, kind):
+    clock, crank = CLOCKS[kind]
+    file = tmp_path / "closed.yaml"
+    file.write_text(CLOSED.replace("{CLOCK}", clock).replace("{CRANK}", crank))
+    execute(read_campaign(file), tmp_path / "run", 1, lambda ended: None)
+    (path,) = tmp_path.glob("run/cases/*/signals.parquet")
+    table = pq.read_table(path).to_pandas()
+    time, fuel = table["time"].to_numpy(), table[[f"pi.m_f_{i}" for i in (1, 2, 3, 4)]].to_numpy()
+    afr = 4e-4 / (fuel * (1.0 + np.array([0.1, 0.25, -0.05, 0.0])))
+    spread = np.ptp(afr, axis=1)
+    natural = 20.0 / 0.95 - 20.0 / 1.25
+
+    def at(instant: float) -> float:
+        return float(spread[np.searchsorted(time, instant)])
+
+    assert at(0.05) == pytest.approx(natural)
+    # The mean of the corrections is zero, so all come to one AFR, but for what the noise of 0.01 becomes of the path.
+    assert at(2.9) < 0.25 and at(7.9) < 0.25
+    # It is off at the end of the cycle of 80 ms in which it is switched.
+    assert at(3.2) == pytest.approx(natural, rel=1e-9) and at(4.9) == pytest.approx(natural, rel=1e-9)
+    np.testing.assert_allclose(fuel.mean(axis=1), M_F, rtol=1e-12)
+    # Begun again without a bump: in the first cycle after 5 s no correction moves by more than k_i e + k_p times noise.
+    first = np.searchsorted(time, 5.09)
+    assert 0.0 < np.abs(fuel[first] / M_F - 1.0).max() < 0.1 * 0.2 + 0.01
+    # Once a cycle and no more often.
+    moves = np.flatnonzero(np.any(np.diff(fuel, axis=0) != 0.0, axis=1))
+    assert len(moves) <= 101 and np.diff(time[moves]).min() > 0.078

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import pathlib
+import re
+
 import numpy as np
 import pytest
 from filtered import Filter, TwinFilter
@@ -9,6 +13,8 @@ from scipy.stats import binom, chi2, ncx2
 
 from fmus.component import ConfigurationError
 from fmus.model import Model
+from harness.campaign import read_campaign
+from harness.cases import execute
 from observers import diagnosis
 from observers.imbalance import (
     Held,
@@ -27,9 +33,16 @@ from observers.path_inversion import Path, Pattern, deviations_of, harmonics_of,
 ORDER = (1, 3, 4, 2)
 AFR = 20.0
 MIXING, DELAY, LAGS = 0.03, 100.0, [0.025, 0.02]  # s, deg, s
-PATH = {"centre": 230.0, "pulse": 180.0, "mixing_time": MIXING, "delay_angle": DELAY, "lags": LAGS}
+DEG = np.pi / 180.0
+PATH = {
+    "centre": 230.0 * DEG,
+    "pulse": np.pi,
+    "mixing_time": MIXING,
+    "delay_angle": DELAY * DEG,
+    "lags": LAGS,
+}
 BARE = Path(230.0, 180.0)
-EVC_ALIGNED = {"evo": 150.0, "evc": 390.0}
+EVC_ALIGNED = {"evo": 150.0 * DEG, "evc": 390.0 * DEG}
 
 
 def signal(angle: np.ndarray, afr: np.ndarray, rpm: float, lags=LAGS, harmonics: int = 400) -> np.ndarray:
@@ -108,7 +121,7 @@ def test_without_the_path_the_means_over_exhaust_phases_name_another_cylinder():
 def test_where_nothing_mixes_or_is_late_the_means_over_exhaust_phases_are_the_cylinders():
     angles = np.arange(719.0, 1441.5, 0.5)
     values = np.interp((angles - 140.0) % 720.0, [0, 180, 180.5, 720], [16.0, 16.0, 20.0, 20.0])
-    estimator = fmu(diagnosis.make(estimate="exhaust_mean", evo=140.0, evc=320.0, scatter=0.02))
+    estimator = fmu(diagnosis.make(estimate="exhaust_mean", evo=140.0 * DEG, evc=320.0 * DEG, scatter=0.02))
     (row,) = diagnosed(estimator, angles, values, 1500.0)
     assert row["verdict"] == 1
     assert row["mean_1"] == pytest.approx(16.0, abs=1e-9)
@@ -306,7 +319,8 @@ def test_all_that_is_wrong_with_the_arguments_is_told_at_once():
     with pytest.raises(ConfigurationError) as told:
         diagnosis.make(
             estimate="paths", noise=-1.0, scatter=0.0, false_alarm_rate=2.0, persistence=0, firing_order=[1, 2, 2, 4],
-            evo=140.0, evc=520.0, pulse=360.0, mixing_time=-0.1, cells=-1, lags=[0.02, -0.01], longest_step=120.0,
+            evo=140.0 * DEG, evc=520.0 * DEG, pulse=360.0 * DEG, mixing_time=-0.1, cells=-1, lags=[0.02, -0.01],
+            longest_step=120.0 * DEG,
             sample_time=-1.0,
         )  # fmt: skip
     text = str(told.value)
@@ -321,3 +335,14 @@ def test_all_that_is_wrong_with_the_arguments_is_told_at_once():
         assert part in text, (part, text)
     with pytest.raises(ConfigurationError, match="without either every deviation is a fault"):
         diagnosis.make(noise=0.0, scatter=0.0)
+
+
+def test_the_documented_campaign_names_the_cylinder(tmp_path):
+    page = (pathlib.Path(__file__).parent.parent / "docs" / "imbalance.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    file = tmp_path / "one-rich-cylinder.yaml"
+    file.write_text(block)
+    execute(read_campaign(file), tmp_path / "run", 1, lambda ended: None)
+    judged = json.loads((tmp_path / "run" / "acceptance.json").read_text())
+    assert [entry["text"] for entry in judged if not entry["passed"]] == []
+    assert len(judged) == 7

@@ -54,7 +54,7 @@ def make(
     limit: float = 0.3,
     delay: int = 2,
     gain_margin: float = 2.0,
-    origin: Annotated[float, "deg"] = 0.0,
+    origin: Annotated[float, "rad"] = 0.0,
     sample_time: Annotated[float, "s"] = 0.0,
 ) -> Model:
     """The law above, from `deviation_1..4`, `m_f`, `enable`, `angle` to `m_f_1..4` [kg] and `correction_1..4`.
@@ -111,7 +111,7 @@ def make(
             Signal("k_i", "1", k_i, "integral gain in each cycle"),
             Signal("afr", "1", afr, "what AFR deviations are relative to", minimum=1e-6),
             Signal("limit", "1", limit, "largest correction"),
-            Signal("origin", "deg", origin, "where cycles end"),
+            Signal("origin", "deg", float(np.degrees(origin)), "where cycles end"),
             Signal("sample_time", "s", sample_time, "time from sampling to sampling, 0 at each step"),
         ),
         sample=_sample,
