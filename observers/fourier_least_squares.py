@@ -6,8 +6,8 @@ it knows by the angle. With phi = (1, 2 cos w0 alpha, -2 sin w0 alpha, ...) and 
     K = P phi/(lambda + phi' P phi),   theta+ = theta + K (y - phi' theta),   P+ = (P - K phi' P)/lambda,
 
 theta = (c_0, Re c_1, Im c_1, ...) of y. Those of w are theirs over C (i k w0 - A)^-1 A0 at the present speed. What y
-does beside repeating, the plant's own free response, is error to it; a time-varying speed changes y's coefficients, which
-an observer of w sees through. In return it begins with all the gain that the first samples allow.
+does beside repeating, the plant's own free response, is error to it; a time-varying speed changes y's coefficients,
+which an observer of w sees through. In return it begins with all the gain that the first samples allow.
 """
 
 from __future__ import annotations

@@ -67,9 +67,10 @@ def design(system: PeriodicSystem, omega: float, step: float, multiplier: float,
     hurried = np.zeros((n, len(scaled)))
     if V.shape[1]:
         least = float(np.abs(np.linalg.eigvals(slow)).min())
-        hurried = V @ slow @ moving_gain(slow, scaled @ V, float(np.sqrt(modulus * least)), omega)
+        own = moving_gain(slow, scaled @ V, float(np.sqrt(modulus * least)), omega)
+        hurried = np.asarray(V @ slow @ own, dtype=np.float64)
         # x = X d goes with the periodic modes: of the plant as it now is, another X.
-        together = solve_sylvester(alone - hurried @ scaled, -turned, -Phi[:n, n:])
+        together = np.asarray(solve_sylvester(alone - hurried @ scaled, -turned, -Phi[:n, n:]), dtype=np.float64)
     on_modes = moving_gain(turned, scaled @ together, float(np.sqrt(modulus)), omega)
     quick = Phi.copy()
     quick[:n, :n] -= hurried @ scaled
