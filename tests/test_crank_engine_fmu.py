@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import runpy
 from itertools import pairwise
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from crank_course import CYLINDERS, FUEL, RPM, SETS, Course, course, fuelled, vector
+from crank_course import CYLINDERS, RPM, SETS, Course, course, fuelled, vector
 from fmpy.validation import validate_fmu
 from model_twin import ModelTwin
 
@@ -206,3 +205,18 @@ def block() -> str:
     """The campaign in docs/crank_engine.md."""
     (text,) = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     return str(text)
+
+
+def test_the_documented_campaign_finds_the_quarter_more(tmp_path: Path):
+    file = tmp_path / "quarter.yaml"
+    file.write_text(block())
+    result = execute(read_campaign(file), tmp_path / "run", 1, lambda told: None, "kept")
+    assert set(result.outcomes.values()) == {"ok"} and result.accepted
+
+
+def test_the_figures_of_the_document_are_drawn_by_its_command(tmp_path: Path):
+    script = runpy.run_path(str(PAGE.parent / "crank_engine" / "draw.py"))
+    drawn = {path.name for path in script["draw"](tmp_path, seconds=0.6)}
+    shown = set(re.findall(r"\(crank_engine/(\w+\.svg)\)", PAGE.read_text(encoding="utf-8")))
+    kept = {path.name for path in (PAGE.parent / "crank_engine").glob("*.svg")}
+    assert drawn == shown == kept
