@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from filtered import Filter, TwinFilter
@@ -13,6 +17,8 @@ from fmus.component import ConfigurationError
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.tracing import trace
+from harness.campaign import read_campaign
+from harness.cases import execute
 from observers import fourier_least_squares, lag_inversion, periodic_input, rod_inversion
 from observers.periodic import input_row, responses, sampled_error, sampled_monodromy, sampled_multipliers
 from observers.periodic_schedule import Schedule
@@ -467,6 +473,37 @@ def test_the_baseline_refuses_what_it_cannot_do():
     ):
         with pytest.raises(ConfigurationError, match=message):
             fourier_least_squares.make(**setting)
+
+
+PAGE = (Path(__file__).parent.parent / "docs" / "periodic.md").read_text(encoding="utf-8")
+
+
+def test_the_example_of_the_page_runs_and_passes(tmp_path):
+    for name, language in (("pulsating.py", "python"), ("pulsating.yaml", "yaml")):
+        (text,) = re.findall(rf"```{language}\n(.*?)```", PAGE, re.S)
+        (tmp_path / name).write_text(text)
+    execute(read_campaign(tmp_path / "pulsating.yaml"), tmp_path / "run", 1, lambda ended: None)
+    criteria = json.loads((tmp_path / "run" / "acceptance.json").read_text())
+    assert len(criteria) == 5 and all(one["passed"] for one in criteria), criteria
+
+
+def test_the_published_settings_of_the_page_have_the_multipliers_it_tells():
+    table = PAGE.partition("largest\nmultiplier over 180 deg.")[2]
+    lines = [line for line in table.partition("With [0; 1] per s")[0].splitlines() if line.startswith("| ")][1:]
+    assert len(lines) == 10
+    for line in lines:
+        sign, square, per, *values = (cell.strip() for cell in line.strip("|").split("|"))
+        for rpm, value in zip((1000, 1500, 3000, 6000), values, strict=True):
+            gains = {"published": {
+                "per": per, "sign": sign.partition(",")[0], "input": "one" if square == "[0; 1]" else "square",
+            }}  # fmt: skip
+            model = rod_inversion.make(gains, speed=f"[{rpm}, {rpm}] rpm", frequency="125 Hz", allow_unstable=True)
+            found = next(s.start for s in model.discrete if s.name == "multiplier")
+            digits = len(value.partition(".")[2]) if "e" not in value else 0
+            if "e" in value:
+                assert found == pytest.approx(float(value), rel=0.15), (line, rpm)
+            else:
+                assert round(found, digits) == pytest.approx(float(value), abs=1.01 * 10.0**-digits), (line, rpm)
 
 
 def test_lags_are_refused_by_their_place():
