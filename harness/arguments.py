@@ -219,6 +219,44 @@ class OneInTime(One):
         return window.time, window.column(self.signal)
 
 
+class Several(Arguments):
+    """Two signals or more, of one dimension."""
+
+    model_config = short_form_too({"type": "array", "items": {"type": "string"}, "minItems": 2})
+
+    signals: list[str] = Field(min_length=2, description="their names, as part.output")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, raw: Any) -> Any:
+        return {"signals": raw} if isinstance(raw, list) else raw
+
+    def names(self) -> list[str]:
+        """The signals."""
+        return list(self.signals)
+
+    def arrays(self, window: Window) -> tuple[Any, ...]:
+        """The signals, each (n,)."""
+        return tuple(window.column(name) for name in self.signals)
+
+    def unit(self, signals: Mapping[str, Signal]) -> str:
+        """That of the first."""
+        return signals[self.signals[0]].unit
+
+    def misfits(self, signals: Mapping[str, Signal]) -> list[str]:
+        """Also signals of another dimension than the first."""
+        messages = super().misfits(signals)
+        if messages:
+            return messages
+        first, *others = self.signals
+        wanted = signals[first].unit
+        return [
+            f"{name} wants {wanted} like {first}, got {signals[name].unit}"
+            for name in others
+            if not fits(signals[name].unit, wanted)
+        ]
+
+
 def scaled_error(pair: Pair, scale: float, window: Window) -> Vector:
     """(estimate - truth)/scale by row, shape (n,), an array of its own."""
     truth, estimate = pair

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from harness import consistencymetrics, crankmetrics, diagnosismetrics, errormetrics, signalmetrics
-from harness.arguments import Arguments, Errors, One, OneInTime, Result, SignedError
+from harness.arguments import Arguments, Errors, One, OneInTime, Result, Several, SignedError
 
 
 @dataclass(frozen=True)
@@ -122,4 +122,5 @@ KINDS: Mapping[str, Kind] = {
     "minimum": Kind(signalmetrics.minimum, One, {"": SIGNAL}),
     "maximum": Kind(signalmetrics.maximum, One, {"": SIGNAL}),
     "mean": Kind(signalmetrics.mean, One, {"": SIGNAL}),
+    "spread": Kind(signalmetrics.spread, Several, {"": ERROR, "final": ERROR}),
 }

@@ -1,6 +1,8 @@
-"""What a single signal shows: its last, smallest, largest and mean value, and how briefly it holds one."""
+"""What signals show by themselves: last, smallest, largest and mean value, shortest stay, and how far they are apart."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,3 +42,16 @@ def dwell_min(time: Vector, signal: Vector) -> float:
     if len(changes) >= 2:
         return float(np.min(np.diff(time[changes])))
     return float(time[-1] - time[0]) if len(time) else np.nan
+
+
+def spread(*signals: Vector) -> Mapping[str, float]:
+    """Mean over the rows of the largest less the smallest of several signals, each (n,), in the first one's unit.
+
+    `.final` is that of the last row. NaN where n = 0.
+    """
+    largest, smallest = signals[0].copy(), signals[0].copy()
+    for signal in signals[1:]:
+        np.maximum(largest, signal, out=largest)
+        np.minimum(smallest, signal, out=smallest)
+    largest -= smallest
+    return {"": mean(largest), "final": final(largest)}

@@ -130,6 +130,18 @@ def test_an_estimate_that_was_there_before_the_truth_has_no_delay_but_was_an_ala
     assert found["false_alarms"] == 1
 
 
+def test_the_spread_is_the_mean_of_the_largest_less_the_smallest_signal():
+    columns = {
+        "engine.imep_1": (np.full(1001, 9e5), "Pa"),
+        "engine.imep_2": (np.where(TIME < 0.5005, 8e5, 9.4e5), "Pa"),
+        "engine.imep_3": (np.full(1001, 8.5e5), "Pa"),
+    }
+    values, _, _ = measured({"spread": list(columns), "unit": "bar"}, columns)
+    # 501 rows from 8 to 9 bar, 500 from 8.5 to 9.4 bar.
+    assert values["m"].value == pytest.approx((501 * 1.0 + 500 * 0.9) / 1001 * 1e5)
+    assert values["m.final"].value == pytest.approx(0.9e5)
+
+
 def test_the_convergence_rate_of_an_exponential_is_its_exponent():
     columns = {"plant.x": (np.zeros(1001), "rad"), "observer.x": (2 * np.exp(-12.0 * TIME), "rad")}
     definition = {"convergence_rate": {"error": ["plant.x", "observer.x"], "demanded": "10 1/s"}, "after": "0.1 s"}

@@ -19,7 +19,7 @@ CYLINDERS = (1, 2, 3, 4)
 
 
 def _equations(t: Any, x: Values, m: Values, u: Values, p: Values) -> tuple[dict[str, Any], dict[str, Any]]:
-    amount = np.where(t >= p.begin, p.amount, 0.0)
+    amount = np.where(u.angle >= p.begin, p.amount, 0.0)
     offsets = {}
     for i in CYLINDERS:
         named = np.abs(p.cylinder - i) < 0.5
@@ -31,8 +31,9 @@ def _equations(t: Any, x: Values, m: Values, u: Values, p: Values) -> tuple[dict
 
 MODEL = Model(
     name="injection_fault",
-    description="Relative error of one injector or of two opposite ones, from an instant on",
+    description="Relative error of one injector or of two opposite ones, from a crank angle on",
     equations=_equations,
+    inputs=(Signal("angle", "deg", 0.0, "crank angle, counted on", nominal=720.0),),
     outputs=(
         *(Signal(f"offset_{i}", "1", 0.0, f"cylinder {i}, relative injection error", 0.1) for i in CYLINDERS),
         Signal("code", "1", 0, "i: cylinder i has too much fuel, -i: too little, 0: none", kind="integer"),
@@ -40,7 +41,7 @@ MODEL = Model(
     parameters=(
         Signal("cylinder", "1", 1.0, "whose injector it is", minimum=1.0, maximum=4.0),
         Signal("amount", "1", 0.25, "relative error", minimum=-1.0),
-        Signal("opposite", "1", 0.0, "1: the cylinder that fires 360 deg later has the same error", 0.0, 0.0, 1.0),
-        Signal("begin", "s", 0.0, "the instant it begins at"),
+        Signal("opposite", "1", 0.0, "1: the cylinder that fires 360 deg later has the same error", 1.0, 0.0, 1.0),
+        Signal("begin", "deg", 0.0, "the crank angle it begins at", nominal=720.0),
     ),
 )
