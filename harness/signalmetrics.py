@@ -1,4 +1,4 @@
-"""What signals show by themselves: last, smallest, largest and mean value, shortest stay, and how far they are apart."""
+"""What signals show by themselves: last, smallest, largest and mean value, shortest stay, how far they are apart."""
 
 from __future__ import annotations
 

@@ -32,9 +32,11 @@ from observers.path_inversion import (
     RAISED_COSINE,
     Path,
     Pattern,
+    Phasor,
     conditioning,
     deviations_of,
     locate,
+    noise_sizes,
     path_phasors,
     pattern_of,
 )
@@ -66,6 +68,8 @@ def make(
     delay_angle: Annotated[float, "rad"] = 0.0,
     cells: int = 0,
     lags: Annotated[Sequence[float] | float, "s"] = (),
+    inverted: Annotated[Sequence[float] | float, "s"] = (),
+    memory: float = 1.0,
     longest_step: Annotated[float, "rad"] = 60.0 * RADIANS,
     sample_time: Annotated[float, "s"] = 0.0,
 ) -> Model:
@@ -77,7 +81,8 @@ def make(
     `pulse`, `centre`, `mixing_*`, `delay_*`, `cells` and `lags` as in `observers.path_inversion.Path`. Where `centre`
     and `pulse` are absent they are those of a raised cosine from `evo` to `evc`.
 
-    `noise` is the standard deviation of white noise on w, `scatter` that of each cylinder's own AFR from cycle to cycle
+    `inverted` are lags that an observer has taken off w, and `memory` the variance that it leaves a coefficient over
+    that of one cycle's samples: with them `noise` is that of the sensor, and harmonics count by their noise. `noise` is the standard deviation of white noise on w, `scatter` that of each cylinder's own AFR from cycle to cycle
     or, where the noise is not white, of the deviations themselves; both in the unit of w. The verdict is on where the
     chi-square statistic of the deviations exceeds what it exceeds with `false_alarm_rate` in a cycle without a fault,
     for `persistence` cycles in a row. The cylinder in first place of `firing_order` fires at `origin`.
@@ -85,7 +90,7 @@ def make(
     Raises ConfigurationError with all that is wrong with the arguments.
     """
     found = Complaints()
-    lags = (lags,) if isinstance(lags, (int, float)) else tuple(lags)
+    lags, inverted = ((one,) if isinstance(one, (int, float)) else tuple(one) for one in (lags, inverted))
     estimators = {"path": _by_path(cells), "exhaust_mean": _by_means}
     if estimate not in estimators:
         found.add(f"estimate: {unknown(str(estimate), estimators, 'estimate')}")
@@ -98,10 +103,13 @@ def make(
     if not 0.0 < even < 360.0:
         found.add(f"pulse wants more than 0 and less than 360 deg, where nothing is left of c_2, got {even:g} deg")
     named = {"mixing_time": mixing_time, "mixing_angle": mixing_angle, "delay_time": delay_time}
-    spans = {**named, "delay_angle": delay_angle, **{f"lags[{i}]": tau for i, tau in enumerate(lags, start=1)}}
-    for name, value in {**spans, "noise": noise, "scatter": scatter}.items():
+    rows = {"lags": lags, "inverted": inverted}
+    taus = {f"{name}[{i}]": tau for name, row in rows.items() for i, tau in enumerate(row, start=1)}
+    for name, value in {**named, "delay_angle": delay_angle, **taus, "noise": noise, "scatter": scatter}.items():
         if not 0.0 <= value < np.inf:
             found.add(f"{name} wants 0 or more, got {value:g}")
+    if not 0.0 < memory < np.inf:
+        found.add(f"memory wants more than 0, got {memory:g}")
     if cells < 0:
         found.add(f"cells wants 0, a true delay, or more, got {cells}")
     if noise == 0.0 and scatter == 0.0:
@@ -131,6 +139,8 @@ def make(
             Signal("delay_time", "s", delay_time, "transport, what is fixed in time"),
             Signal("delay_angle", "deg", delay_angle / RADIANS, "transport, what is fixed in crank angle"),
             Signal("lags", "s", lags or (0.0,), "first-order lags of the sensor", shape=(len(lags) or 1,)),
+            Signal("inverted", "s", inverted or (0.0,), "lags taken off w by an observer", shape=(len(inverted) or 1,)),
+            Signal("memory", "1", memory, "variance of a coefficient over that of one cycle's samples"),
             Signal("longest_step", "deg", longest, "a cycle with a longer step does not count"),
             Signal("sample_time", "s", sample_time, "time from sampling to sampling, 0 at each step"),
         ),
@@ -141,7 +151,12 @@ def _by_path(cells: int) -> Callable[[Spectrum, Values], Estimate]:
     def estimate(spectrum: Spectrum, p: Values) -> Estimate:
         path = Path(p.centre, p.pulse, p.mixing_time, p.mixing_angle, p.delay_time, p.delay_angle, list(p.lags), cells)
         phasors = path_phasors(path, spectrum.omega)
-        pattern = locate(spectrum.real[1:], spectrum.imaginary[1:], phasors)
+        sizes = noise_sizes(list(p.inverted), p.memory, spectrum.omega)
+        phasors = [Phasor(g.size / size, g.angle) for g, size in zip(phasors, sizes, strict=True)]
+        real, imaginary = (
+            [c / size for c, size in zip(part[1:], sizes, strict=True)] for part in (spectrum.real, spectrum.imaginary)
+        )
+        pattern = locate(real, imaginary, phasors)
         variances = variances_of_path(phasors, p.noise, spectrum.share, p.scatter)
         return Estimate(pattern, variances, conditioning(phasors))
 

@@ -89,6 +89,23 @@ def path_phasors(path: Path, omega: Any) -> list[Phasor]:
     return found
 
 
+def noise_sizes(inverted: Sequence[Any], memory: Any, omega: Any) -> list[Any]:
+    """Standard deviations of c_1, c_2, c_3 over that of a coefficient of one cycle's white samples, (3,).
+
+        s_k = sqrt(memory prod_j (1 + (k omega t_j/2)^2))
+
+    where an observer took the lags t_j = `inverted` [s] off what the noise was added to. Over s_k harmonics and phasors
+    have noise alike.
+    """
+    found = []
+    for k in range(1, CYLINDERS):
+        square: Any = memory
+        for tau in inverted:
+            square = square * (1.0 + (k * omega * tau / 2.0) ** 2)
+        found.append(np.sqrt(square))
+    return found
+
+
 def locate(real: Sequence[Any], imaginary: Sequence[Any], phasors: Sequence[Phasor]) -> Pattern:
     """The deviations whose harmonics come nearest to c_1, c_2, c_3 (3,), in the sum of the squared distances.
 
