@@ -37,7 +37,7 @@ def test_it_is_built_by_its_name_and_fmpys_validator_has_no_message(fmi, tmp_pat
     assert validate_fmu(str(path)) == []
 
 
-def random_values(count: int, parameter_set: str | None) -> list[dict[str, float]]:
+def random_values(count: int) -> list[dict[str, float]]:
     """States all over the cycle, valves open and shut, gas going both ways, burning and not, by name."""
     generator, found = np.random.default_rng(5), []
     for _ in range(count):
@@ -70,7 +70,7 @@ def at_rest(values: dict[str, float], parameter_set: str | None, fmi: int = 2) -
 @pytest.mark.parametrize("parameter_set", SETS)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_its_derivatives_and_outputs_are_those_of_the_python_source(fmi, parameter_set):
-    for values in random_values(4, parameter_set):
+    for values in random_values(4):
         # Past no angle, so that initialisation changes nothing.
         values |= {f"stage_{i}": 2.0 for i in CYLINDERS}
         at = point(MODEL, {**values, **fuelled(2e-5)}, parameter_set)
@@ -87,7 +87,7 @@ def test_its_derivatives_and_outputs_are_those_of_the_python_source(fmi, paramet
 
 
 def test_its_directional_derivatives_match_differences_of_its_values():
-    for values in random_values(3, None):
+    for values in random_values(3):
         values |= {f"stage_{i}": 2.0 for i in CYLINDERS}
         component = at_rest(values, None)
         asked = derivatives.Questioned(component, 0.0, vector(fuelled(2e-5)))
@@ -101,7 +101,7 @@ def test_its_directional_derivatives_match_differences_of_its_values():
 def test_every_derivative_is_finite_in_every_state():
     engine = jacobians(MODEL)
     for parameter_set in SETS:
-        for values in random_values(20, parameter_set):
+        for values in random_values(20):
             linear = engine.at(point(MODEL, values, parameter_set))
             assert all(np.isfinite(matrix).all() for matrix in (linear.A, linear.B, linear.C, linear.D))
 

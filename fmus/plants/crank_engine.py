@@ -7,7 +7,7 @@ which shows a test bench and has no equations of its engine. These are textbook 
     crank      J(theta) omega' = torque_gas - torque_friction - torque_load - J'(theta) omega^2/2, theta' = omega
     gas        torque_gas = sum (p_i - p_case) A dx_i/dtheta
     friction   torque_friction = (fmep_0 + fmep_1 N + fmep_2 N^2) V_d/4pi, against the motion
-    dynamometer torque_load = hold + dyno_p (omega - speed_demand), hold' = dyno_i (omega - speed_demand)
+    brake      torque_load = hold + dyno_p (omega - speed_demand), hold' = dyno_i (omega - speed_demand)
     cylinder i U' = -p V' + Q_burn - Q_wall + sum W cp T, m' = sum W, p = (gamma - 1) U/V, T = p V/(m R)
     burning    Q_burn = q_lhv burn_i dx_b/dphi omega, x_b Wiebe's
     walls      Q_wall = wall h A (T - T_wall), h Hohenberg's, A of piston, head and the liner that is bare
@@ -62,13 +62,12 @@ FIRING = {cylinder: k * np.pi for k, cylinder in enumerate(FIRING_ORDER)}
 
 
 class Cylinder(NamedTuple):
-    """A cylinder at an instant: piston, volume [m3], p [Pa], T [K], heat [W] and what flows in through its valves.
+    """A cylinder at an instant: piston, p [Pa], T [K], heat to the walls [W] and what flows in through its valves.
 
     `burning` is dburnt/dt [kg/s]; a flow out of the cylinder is negative.
     """
 
     piston: PistonMotion
-    V: Any
     p: Any
     T: Any
     burning: Any
@@ -104,9 +103,8 @@ def _cylinder(i: int, x: Values, m: Values, p: Values) -> Cylinder:
     T = pressure * V / (x[f"m_{i}"] * p.R)
 
     speed = np.abs(x.omega_e)
-    burnt_slope = wiebe(phi - CYCLE * m[f"cycle_{i}"], p.burn_start * DEG, p.burn_duration * DEG, p.wiebe_a, p.wiebe_m)[
-        1
-    ]
+    angle = phi - CYCLE * m[f"cycle_{i}"]
+    _, burnt_slope = wiebe(angle, p.burn_start * DEG, p.burn_duration * DEG, p.wiebe_a, p.wiebe_m)
     walls = np.pi * p.bore * V / piston_area(p) + 2.0 * piston_area(p)
     Q_wall = p.wall * hohenberg(pressure, T, V, p.stroke * speed / np.pi) * walls * (T - p.T_wall)
 
@@ -117,7 +115,7 @@ def _cylinder(i: int, x: Values, m: Values, p: Values) -> Cylinder:
     area, T_port = p.A_exh * valve_opening(phi, p.EVO * DEG, p.EVC * DEG), m[f"T_port_{i}"]
     W = isentropic_flow(pressure, T, p.p_em, T_port, area, gas, p.PI_lin)
     exhaust = between(W, pressure >= p.p_em, T, T_port)[0]
-    return Cylinder(piston, V, pressure, T, m[f"burn_{i}"] * burnt_slope * x.omega_e, Q_wall, intake, exhaust)
+    return Cylinder(piston, pressure, T, m[f"burn_{i}"] * burnt_slope * x.omega_e, Q_wall, intake, exhaust)
 
 
 def _equations(t: Any, x: Values, m: Values, u: Values, p: Values) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -127,28 +125,17 @@ def _equations(t: Any, x: Values, m: Values, u: Values, p: Values) -> tuple[dict
     cp = Gas(p.gamma, p.R).cp
     for i, one in cylinders.items():
         power = one.p * piston_area(p) * one.piston.slope * x.omega_e
-        flows = (one.intake, one.exhaust)
-        H_int, H_exh = (cp * flow.W * flow.T for flow in flows)
+        H_int, H_exh = (cp * flow.W * flow.T for flow in (one.intake, one.exhaust))
         Q_burn = p.q_lhv * one.burning
         dx[f"U_{i}"] = Q_burn - one.Q_wall - power + H_int + H_exh
         dx[f"m_{i}"] = one.intake.W + one.exhaust.W
-        share = m[f"share_{i}"]
-        # Of what comes back so much is burnt as its air went for.
-        burnt = np.minimum(1.0, (1.0 - share) / np.maximum(p.AF_s * share, TINY))
-        ports = {"fuel": (x[f"port_{i}"] / p.m_port, share)}
-        ports["burnt"] = (burnt * ports["fuel"][0], burnt * ports["fuel"][1])
-        carried = {}
-        for what, behind in ports.items():
-            inside = x[f"{what}_{i}"] / x[f"m_{i}"]
-            carried[what] = [
-                flow.W * np.where(flow.W < 0.0, inside, outside) for flow, outside in zip(flows, behind, strict=True)
-            ]
-        dx[f"fuel_{i}"], dx[f"burnt_{i}"] = sum(carried["fuel"]), one.burning + sum(carried["burnt"])
-        dx[f"port_{i}"] = -carried["fuel"][0]
+        fuel, burnt = _carried(i, one, x, m, p)
+        dx |= {f"fuel_{i}": sum(fuel), f"burnt_{i}": one.burning + sum(burnt), f"port_{i}": -fuel[0]}
         dx |= {f"work_{i}": power, f"gone_{i}": -one.exhaust.W, f"gone_heat_{i}": -H_exh}
         y |= {f"p_{i}": one.p, f"T_{i}": one.T, f"Q_burn_{i}": Q_burn, f"Q_wall_{i}": one.Q_wall}
         y |= {f"W_int_{i}": one.intake.W, f"W_exh_{i}": -one.exhaust.W, f"H_int_{i}": H_int, f"H_exh_{i}": -H_exh}
-        y[f"afr_{i}"] = (1.0 - share) / np.maximum(share, (1.0 - share) / p.afr_most)
+        air = 1.0 - m[f"share_{i}"]
+        y[f"afr_{i}"] = air / np.maximum(m[f"share_{i}"], air / p.afr_most)
     mixed = sum(m[f"m_exh_{i}"] for i in CYLINDERS)
     y["T_exh"] = sum(m[f"m_exh_{i}"] * m[f"T_port_{i}"] for i in CYLINDERS) / mixed
 
@@ -161,6 +148,20 @@ def _equations(t: Any, x: Values, m: Values, u: Values, p: Values) -> tuple[dict
     dx["omega_e"] = (torque - 0.5 * slope * x.omega_e**2) / J
     dx["hold"] = p.dyno_i * ahead
     return dx, y
+
+
+def _carried(i: int, one: Cylinder, x: Values, m: Values, p: Values) -> tuple[list[Any], list[Any]]:
+    """Fuel, and fuel that is burnt, that the intake and the exhaust carry into cylinder i [kg/s]."""
+    share = m[f"share_{i}"]
+    # Of what comes back so much is burnt as its air went for.
+    burnt = np.minimum(1.0, (1.0 - share) / np.maximum(p.AF_s * share, TINY))
+    outside = (x[f"port_{i}"] / p.m_port, share)
+    fuel, fuel_burnt = [], []
+    for flow, behind in zip((one.intake, one.exhaust), outside, strict=True):
+        out = flow.W < 0.0
+        fuel.append(flow.W * np.where(out, x[f"fuel_{i}"] / x[f"m_{i}"], behind))
+        fuel_burnt.append(flow.W * np.where(out, x[f"burnt_{i}"] / x[f"m_{i}"], burnt * behind))
+    return fuel, fuel_burnt
 
 
 def _friction(omega: Any, p: Values) -> Any:
