@@ -39,10 +39,10 @@ EVERYWHERE = Ends()
 
 
 class Cycles(NamedTuple):
-    """Whole cycles of so many degrees, to be laid over each other: the `last` of them, all where None."""
+    """Whole cycles of so many degrees, to be laid over each other: the `last` of them."""
 
     length: float
-    last: int | None
+    last: int
 
 
 class Rows(NamedTuple):
@@ -57,8 +57,9 @@ class Rows(NamedTuple):
 class Thinned:
     """Signals of one case along time or crank angle, each at places of its own, and the `rows` that they stand for.
 
-    `pieces` are the cycles that are laid over each other, the oldest first, else one of all rows. `time` [s] and
-    `crank` [deg] are the first and the last of the rows; `passed` is where along the rows are at some times.
+    `pieces` are the cycles that are laid over each other, the oldest first, of all the `whole` ones there are; else one
+    of all rows. `time` [s] and `crank` [deg] are the first and the last of the rows; `passed` is where along the rows
+    are at some times.
     """
 
     rows: int
@@ -66,6 +67,7 @@ class Thinned:
     crank: tuple[float, float]
     pieces: tuple[Mapping[str, tuple[Vector, Column]], ...]
     passed: tuple[Vector, Vector]
+    whole: int = 0
 
 
 def read_along(
@@ -96,22 +98,23 @@ def read_along(
             if len(piece.time):
                 first = first if rows else (float(piece.time[0]), float(piece.crank[0]))
                 last, rows = (float(piece.time[-1]), float(piece.crank[-1])), rows + len(piece.time)
-        spans = _whole(cycles, first[1], last[1]) if cycles else [WHOLE]
+        whole = _whole(cycles.length, first[1], last[1]) if cycles else []
+        spans = whole[-cycles.last :] if cycles else [WHOLE]
         counts = _counts(rows_between(file, (), ends, source), spans) if cycles else [rows]
         kept = [{name: Envelope(count, points // len(spans)) for name in names} for count in counts]
         passed = Envelope(rows, points)
         for piece in rows_between(file, names, ends, source):
             place = piece.time if along == "time" else piece.crank
             passed.add(piece.time, place)
-            for span, envelopes in zip(spans, kept, strict=True):
-                drawn, zero = _within(piece.crank, span), span[0] if cycles else 0.0
-                for name, envelope in envelopes.items():
+            for index, drawn in _within(piece.crank, spans):
+                zero = spans[index][0] if cycles else 0.0
+                for name, envelope in kept[index].items():
                     envelope.add(place[drawn] - zero, piece.signals[name][drawn])
         empty = without_values(file)
     pieces = tuple(
         {name: _column(envelope.samples(), empty[name]) for name, envelope in envelopes.items()} for envelopes in kept
     )
-    return Thinned(sum(counts), (first[0], last[0]), (first[1], last[1]), pieces, passed.samples())
+    return Thinned(sum(counts), (first[0], last[0]), (first[1], last[1]), pieces, passed.samples(), len(whole))
 
 
 def rows_between(file: pq.ParquetFile, names: Sequence[str], ends: Ends, angle: str | None) -> Iterator[Rows]:
@@ -156,27 +159,29 @@ def _jumps_back(file: pq.ParquetFile, angle: str) -> bool:
     return False
 
 
-def _whole(cycles: Cycles, first: float, last: float) -> list[tuple[float, float]]:
-    """The crank angles [deg] that the whole cycles between two angles begin and end at."""
+def _whole(length: float, first: float, last: float) -> list[tuple[float, float]]:
+    """The crank angles [deg] that the whole cycles between two angles begin and end at; none between NaN."""
     if math.isnan(first):
         return []
-    begin = math.ceil((first - ROUNDING) / cycles.length)
-    end = math.floor((last + ROUNDING) / cycles.length)
-    begin = begin if cycles.last is None else max(begin, end - cycles.last)
-    return [(number * cycles.length, (number + 1) * cycles.length) for number in range(begin, end)]
+    cycles = range(math.ceil((first - ROUNDING) / length), math.floor((last + ROUNDING) / length))
+    return [(number * length, (number + 1) * length) for number in cycles]
 
 
 def _counts(pieces: Iterator[Rows], spans: Sequence[tuple[float, float]]) -> list[int]:
     """How many rows each span has, its ends included."""
     counts = [0] * len(spans)
     for piece in pieces:
-        for index, span in enumerate(spans):
-            counts[index] += int(np.count_nonzero(_within(piece.crank, span)))
+        for index, drawn in _within(piece.crank, spans):
+            counts[index] += int(np.count_nonzero(drawn))
     return counts
 
 
-def _within(crank: Vector, span: tuple[float, float]) -> NDArray[np.bool_]:
-    return ~((crank < span[0] - ROUNDING) | (crank > span[1] + ROUNDING))  # all where nobody knows the angle: NaN
+def _within(crank: Vector, spans: Sequence[tuple[float, float]]) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+    """Which rows lie in a span, its ends included, for each that has any; all do where nobody knows the angle: NaN."""
+    least, greatest = (float(of(crank)) if len(crank) else math.nan for of in (np.min, np.max))
+    for index, (begin, end) in enumerate(spans):
+        if not (greatest < begin - ROUNDING or least > end + ROUNDING):
+            yield index, ~((crank < begin - ROUNDING) | (crank > end + ROUNDING))
 
 
 def _column(samples: tuple[Vector, Vector], empty: Column) -> tuple[Vector, Column]:

@@ -65,10 +65,8 @@ def axis_over(over: str, engine: Engine, first: float, last: float) -> Axis:
 
 def _firings(engine: Engine, first: float, last: float, unit: float) -> tuple[tuple[float, str], ...]:
     """Every firing between two crank angles [deg]; none where they are many."""
-    marks = [
-        (cycle * engine.cycle + at, str(name))
-        for cycle in range(math.floor(first / engine.cycle), math.floor(last / engine.cycle) + 1)
-        for name, at in engine.firings.items()
-        if (last - first) / engine.cycle * len(engine.firings) <= MOST_MARKS
-    ]
+    if (last - first) / engine.cycle * len(engine.firings) > MOST_MARKS:
+        return ()
+    cycles = range(math.floor(first / engine.cycle), math.floor(last / engine.cycle) + 1)
+    marks = [(cycle * engine.cycle + at, str(name)) for cycle in cycles for name, at in engine.firings.items()]
     return tuple(sorted((at / unit, name) for at, name in marks if first <= at <= last))

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as Drawing
 
 from reports.figures import STYLE, svg
 from reports.folder import Run, RunFolderError, read_json
-from reports.numbers import labelled
+from reports.numbers import axis_label
 from reports.scatter import LOGARITHMIC
 
 COLUMNS = 3
@@ -93,8 +93,8 @@ def draw_curve(curve: Curve, titles: Mapping[str, str], colours: Mapping[str, st
         shown = np.array([median for median in drawn if math.isfinite(median)])
         if len(shown) and shown.min() > 0.0 and shown.max() > LOGARITHMIC * shown.min():
             axes.flat[0].set_yscale("log")
-        drawing.supxlabel(labelled(curve.against, curve.against_unit), fontsize=9.5)
-        drawing.supylabel(labelled(f"{curve.metric}, median", curve.unit), fontsize=9.5)
+        drawing.supxlabel(axis_label(curve.against, curve.against_unit), fontsize=9.5)
+        drawing.supylabel(axis_label(f"{curve.metric}, median", curve.unit), fontsize=9.5)
         handles, labels = axes.flat[0].get_legend_handles_labels()
         drawing.legend(handles, labels, loc="outside right upper")
         return svg(drawing, name)

@@ -17,7 +17,7 @@ from reports.along import Ends, rows_between
 from reports.declared import si
 from reports.figures import INK, STYLE, svg
 from reports.folder import Case, Run, RunFolderError
-from reports.numbers import labelled, short
+from reports.numbers import axis_label, short
 from reports.signals import Vector, find_recorded, open_with
 from reports.traces import ends_of
 
@@ -91,7 +91,7 @@ def draw_histogram(found: Histogram, titles: Mapping[str, str], colours: Mapping
         drawing.supylabel("share of the rows [%]", fontsize=9.5)
         truths = list(dict.fromkeys(errors.truth for errors in found.panels))
         drawing.supxlabel(
-            labelled(f"estimate - {truths[0] if len(truths) == 1 else 'truth'}", found.unit), fontsize=9.5
+            axis_label(f"estimate - {truths[0] if len(truths) == 1 else 'truth'}", found.unit), fontsize=9.5
         )
         return svg(drawing, name)
 

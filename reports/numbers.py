@@ -30,7 +30,7 @@ def with_unit(value: float, unit: str, digits: int = 4) -> str:
     return short(value, digits) if unit in ("", "1") or math.isnan(value) else f"{short(value, digits)} {unit}"
 
 
-def labelled(text: str, unit: str) -> str:
+def axis_label(text: str, unit: str) -> str:
     """The text with a unit behind it, as axes are labelled; a pure number has none."""
     return text if unit in ("", "1") else f"{text} [{unit}]"
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure as Drawing
 
 from reports.figures import STYLE, svg
 from reports.folder import Run, RunFolderError, read_json
-from reports.numbers import labelled, with_unit
+from reports.numbers import axis_label, with_unit
 from reports.traces import TRUTH_COLOUR
 
 COLUMNS = 3
@@ -130,8 +130,8 @@ def draw_power(power: Power, titles: Mapping[str, str], colours: Mapping[str, st
             _smallest(above, line.points, titles.get(line.observer, line.observer), colours[line.observer], largest)
         above.axhline(largest, color=TRUTH_COLOUR, linewidth=1.0, linestyle=":")
         above.set_ylim(0.0, 1.18 * largest)
-        above.set_xlabel(labelled(power.against, power.against_unit))
-        above.set_ylabel(labelled("smallest found", power.magnitude_unit))
+        above.set_xlabel(axis_label(power.against, power.against_unit))
+        above.set_ylabel(axis_label("smallest found", power.magnitude_unit))
         above.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), borderaxespad=0.0)
         for index, at in enumerate(values):
             axis = drawing.add_subplot(grid[1 + index // COLUMNS, index % COLUMNS])
@@ -141,7 +141,7 @@ def draw_power(power: Power, titles: Mapping[str, str], colours: Mapping[str, st
             axis.axhline(100.0 * power.share, color=TRUTH_COLOUR, linewidth=1.0, linestyle=(0, (5, 4)))
             axis.set_ylim(-4.0, 104.0)
             axis.set_title(f"{power.against} = {with_unit(at, power.against_unit)}", loc="left", fontsize=9)
-            axis.set_xlabel(labelled("magnitude", power.magnitude_unit))
+            axis.set_xlabel(axis_label("magnitude", power.magnitude_unit))
             if index % COLUMNS == 0:
                 axis.set_ylabel("found [%]")
         return svg(drawing, name)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure as Drawing
 from matplotlib.ticker import MaxNLocator
 
 from reports.figures import INK, STYLE, svg
-from reports.numbers import labelled, short
+from reports.numbers import axis_label, short
 from reports.rankings import Ranked, Ranking
 
 COLUMNS = 3
@@ -39,7 +39,7 @@ def scatter(ranking: Ranking, titles: Mapping[str, str], name: str) -> str:
                 _names(axis, measure, ranking, titles)
         for axis in axes.flat[len(ranking.measures) :]:
             axis.set_axis_off()
-        drawing.supylabel(labelled(f"{ranking.metric}, median", ranking.unit), fontsize=9.5)
+        drawing.supylabel(axis_label(f"{ranking.metric}, median", ranking.unit), fontsize=9.5)
         return svg(drawing, name)
 
 
@@ -65,7 +65,7 @@ def _panel(axis: Axes, measure: Ranked, ranking: Ranking) -> None:
     lost = int(np.isinf(medians).sum())
     remark = f"\n{lost} failed" if lost else ""
     axis.set_title(f"rank correlation {short(measure.correlation, 2)}{remark}", loc="left", fontsize=9)
-    axis.set_xlabel(labelled(measure.title, measure.unit), fontsize=8.5)
+    axis.set_xlabel(axis_label(measure.title, measure.unit), fontsize=8.5)
 
 
 def _names(axis: Axes, measure: Ranked, ranking: Ranking, titles: Mapping[str, str]) -> None:

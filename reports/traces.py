@@ -31,6 +31,8 @@ COLOURS = (
 )
 # Points a trace may have.
 POINTS = 6000
+# Cycles of a stretch that are laid over each other, the last ones: more would hide each other.
+MOST_CYCLES = 100
 TRUTH_COLOUR, FAULT_COLOUR = "#808080", "#E69F00"
 DASHES = ("solid", "dash", "dot", "dashdot")
 
@@ -66,7 +68,8 @@ class Panel:
 class Figure:
     """A declared figure with its data; where it cannot be drawn, `problem` says why and there are no panels.
 
-    `rows` is how many rows of the record its traces stand for, `cycles` how many are laid over each other.
+    `rows` is how many rows of the record its traces stand for, `cycles` how many are laid over each other, the last of
+    `whole`.
     """
 
     title: str
@@ -77,6 +80,7 @@ class Figure:
     rows: int = 0
     axis: Axis = TIME
     cycles: int = 0
+    whole: int = 0
 
 
 def declared_figures(run: Run) -> list[Figure]:
@@ -135,6 +139,7 @@ def _figure(run: Run, entry: Mapping[str, Any]) -> Figure:
         rows=thinned.rows,
         axis=axis_over(over, engine, *thinned.crank),
         cycles=len(thinned.pieces) if overlaid else 0,
+        whole=thinned.whole,
     )
 
 
@@ -150,10 +155,10 @@ def ends_of(entry: Mapping[str, Any]) -> Ends:
     return ends
 
 
-def _last(entry: Mapping[str, Any]) -> int | None:
-    """How many whole cycles are laid over each other: as many as are asked for, else all of a stretch, else one."""
+def _last(entry: Mapping[str, Any]) -> int:
+    """How many whole cycles are laid over each other: as many as are asked for, else those of a stretch, else one."""
     named = entry.get("from") is not None or entry.get("to") is not None
-    return int(entry["last"]) if entry.get("last") else None if named else 1
+    return int(entry["last"]) if entry.get("last") else MOST_CYCLES if named else 1
 
 
 def _in_cycles(thinned: Thinned, cycle: float) -> Thinned:

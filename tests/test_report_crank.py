@@ -190,8 +190,8 @@ def test_many_cycles_are_thinned_with_their_extremes_kept(tmp_path):
     path = tmp_path / "cases" / "key" / "signals.parquet"
     write_signals(Record((Signal("a.b"),), 1e-4 * np.arange(72_001), values[:, None], crank=crank), path)
     run = Run(tmp_path, {}, (case,), None)
-    found = read_along(run, case, ["a.b"], "crank", points=6000, cycles=Cycles(720.0, None))
-    assert len(found.pieces) == 10 and found.rows == 10 * 7201
+    found = read_along(run, case, ["a.b"], "crank", points=6000, cycles=Cycles(720.0, 100))
+    assert len(found.pieces) == found.whole == 10 and found.rows == 10 * 7201
     assert max(len(piece["a.b"][0]) for piece in found.pieces) <= 602
     assert max(piece["a.b"][1].values.max() for piece in found.pieces) == 9.0
 
@@ -199,7 +199,7 @@ def test_many_cycles_are_thinned_with_their_extremes_kept(tmp_path):
 def test_a_window_without_a_whole_cycle_says_so(on_crank):
     case = on_crank.cases[0]
     ends = Ends(crank=(10.0, 1400.0))
-    assert read_along(on_crank, case, ["crank.phase"], "crank", ends, cycles=Cycles(720.0, None)).rows == 0
+    assert read_along(on_crank, case, ["crank.phase"], "crank", ends, cycles=Cycles(720.0, 100)).rows == 0
 
 
 def test_so_many_firings_that_they_would_hide_the_figure_are_not_marked():
@@ -220,7 +220,8 @@ def test_interactive_figures_over_a_cycle_are_valid_plotly_with_one_entry_a_sign
 
 def test_the_page_says_what_is_drawn_over_crank_angle(on_crank):
     text = page_of(on_crank.path).text("figures")
-    assert "3 cycles, laid over each other, the earlier the paler" in text
+    assert "3 cycles, laid over each other, the earlier the paler (the last of 4 whole ones)." in text
+    assert "2 cycles, laid over each other, the earlier the paler." in text
     assert "a cylinder is at firing top dead centre" in text
     assert re.search(r"a fault is active: gauge: bias 30.0 rpm, [\d.]+ to [\d.]+ deg", text)
     assert re.search(r"a fault is active: gauge: bias 30.0 rpm, [\d.]+ to [\d.]+ cycles", text)
