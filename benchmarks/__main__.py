@@ -18,6 +18,7 @@ from benchmarks.growth import Growth
 from benchmarks.long_run import LongRun
 from benchmarks.measure import Measure
 from benchmarks.page import write_page
+from benchmarks.periodic import Costs
 from benchmarks.sections import Taken, measures_of, sections, take_apart
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -82,7 +83,9 @@ def main(
         raise typer.Exit(1)
     if not only and not quick:
         growths = [one for one in taken.values() if isinstance(one, Growth)]
-        write_page(PAGE, comparisons, growths, next((one for one in taken.values() if isinstance(one, LongRun)), None))
+        long = next((one for one in taken.values() if isinstance(one, LongRun)), None)
+        costs = next((one for one in taken.values() if isinstance(one, Costs)), None)
+        write_page(PAGE, comparisons, growths, long, costs)
         print(f"written: {PAGE}")
 
 

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from benchmarks.comparison import BARE, FMPY_CALLS, PEERS, SIMULATE_FMU, Comparison
 from benchmarks.growth import Growth, line
 from benchmarks.long_run import LIMIT, LongRun
+from benchmarks.periodic import HARMONICS, STAGES, STATES, Costs
 from fmus.toolchain import find_compiler
 
 OURS = "crankbench, everything recorded"
@@ -43,8 +44,14 @@ def replace_section(text: str, name: str, content: str) -> str:
     return pattern.sub(lambda _: f"{begin}\n{content.strip()}\n{end}", text)
 
 
-def write_page(page: Path, comparisons: Sequence[Comparison], growths: Sequence[Growth], long: LongRun | None) -> None:
-    """Replace the sections of the page, and the drawings in the folder of its name."""
+def write_page(
+    page: Path,
+    comparisons: Sequence[Comparison],
+    growths: Sequence[Growth],
+    long: LongRun | None,
+    costs: Costs | None = None,
+) -> None:
+    """Replace the sections of the page that were measured, and the drawings in the folder of its name."""
     text = page.read_text(encoding="utf-8")
     for name, content in (
         ("machine", machine()),
@@ -53,6 +60,8 @@ def write_page(page: Path, comparisons: Sequence[Comparison], growths: Sequence[
         ("long run", _long_run(long)),
     ):
         text = replace_section(text, name, content)
+    if costs is not None:
+        text = replace_section(text, "periodic", "\n".join(periodic(costs)))
     folder = page.with_suffix("")
     folder.mkdir(exist_ok=True)
     for growth in growths:
@@ -125,6 +134,23 @@ def _growths(growths: Sequence[Growth]) -> Iterator[str]:
         numbers = f"{growth.counts[0]:,}, {growth.counts[-1]:,}"
         costs = f"{_three(ours.slope * 1e9)} ns | {_three(bare.slope * 1e9)} ns | {ours.slope / bare.slope:.2f}"
         yield f"| {growth.things} | {numbers} | {costs} | {ours.r_squared:.5f} |"
+
+
+def periodic(costs: Costs) -> Iterator[str]:
+    """Periodic-input observers: a sampling as FMU and in NumPy, and its operations, over harmonics, states and lags."""
+    yield "| observer | exported FMU | Eq. 4 in NumPy | times | operations |"
+    yield "|---|---|---|---|---|"
+    for group, operations in zip((costs.harmonics, costs.states, costs.stages), costs.operations, strict=True):
+        for one, count in zip(group, operations, strict=True):
+            times = f"{_three(one.ours * 1e6)} us | {_three(one.peer * 1e6)} us | {1.0 / one.ratio:.0f}"
+            yield f"| {one.name.partition(', ')[2]} | {times} | {count:,} |"
+    yield ""
+    things = ("harmonic", "state", "lag")
+    told = [
+        f"{one.slope:.0f} a {thing} (R² {one.r_squared:.5f})" for one, thing in zip(costs.lines(), things, strict=True)
+    ]
+    ranges = [f"{min(counts)} to {max(counts)}" for counts in (HARMONICS, STATES, STAGES)]
+    yield f"Operations grow by {told[0]} from {ranges[0]}, {told[1]} from {ranges[1]}, {told[2]} from {ranges[2]}."
 
 
 def _long_run(long: LongRun | None) -> str:

@@ -104,7 +104,7 @@ def make(
         if demanded is not None:
             scheduled = refined(system, scheduled, gain, step_at, demanded)
         certificate = certify(system, scheduled, low, high, setting.nodes, step_at)
-        require_stable(certificate, name, _told(lag), allow_unstable, found)
+        require_stable(certificate, demanded, name, _told(lag), allow_unstable, found)
         worst = max(worst, certificate.worst[0])
         stages.append(Stage(system, scheduled, 1, _speed(lag, place), None if begin is None else (begin, begin)))
     found.end()

@@ -170,7 +170,7 @@ def system_model(
     if demanded is not None:
         scheduled = refined(system, scheduled, chosen, setting.sampling.angle, demanded)
     certificate = certify(system, scheduled, setting.low, setting.high, setting.nodes, setting.sampling.angle)
-    require_stable(certificate, name, told, allow_unstable, found)
+    require_stable(certificate, demanded, name, told, allow_unstable, found)
     found.end()
     at_rest = None if begin is None else (-np.linalg.solve(system.A, system.A0) @ begin, begin)
     frame = Frame(

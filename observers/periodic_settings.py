@@ -12,7 +12,7 @@ from fmus.model import ModelError, unknown
 from observers.given import Complaints, read_list, read_quantity
 from observers.periodic import PeriodicSystem, unseen_harmonics
 from observers.periodic_design import Demand
-from observers.periodic_schedule import Certificate, Sampling
+from observers.periodic_schedule import NEAR, Certificate, Sampling
 
 Array = NDArray[np.float64]
 Reading = Literal["s", "sample", "rad"]
@@ -166,10 +166,20 @@ def require_seen(
 
 
 def require_stable(
-    certificate: Certificate, name: str, told: Callable[[float], str], allowed: bool, found: Complaints
+    certificate: Certificate,
+    demanded: float | None,
+    name: str,
+    told: Callable[[float], str],
+    allowed: bool,
+    found: Complaints,
 ) -> None:
-    """A complaint where a multiplier is 1 or more anywhere in the range, unless that is allowed."""
+    """A complaint where a multiplier is beyond what was demanded, or 1 or more unless that is allowed."""
     worst, sigma = certificate.worst
+    if demanded is not None and worst > demanded * (1.0 + 2.0 * NEAR):
+        found.add(
+            f"{name}: the demanded multiplier of {demanded:.6g} is {worst:.6g} between the nodes at {told(sigma)}, and "
+            "more of them do not help; give a narrower range of speeds"
+        )
     if not worst < 1.0 and not allowed:
         found.add(
             f"{name}: the gains do not converge: at {told(sigma)} the largest Floquet multiplier over a period is "

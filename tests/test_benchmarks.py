@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import comparison, growth
+from benchmarks import comparison, growth, periodic
 from benchmarks.__main__ import PAGE, write_results
 from benchmarks.comparison import BARE, FMPY_CALLS, PEERS, SIMULATE_FMU, Comparison, beside_all, check_peer
 from benchmarks.growth import Growth, line
@@ -22,6 +22,7 @@ from benchmarks.measure import Measure, in_turn
 from benchmarks.orders import jacobi
 from benchmarks.page import replace_section, write_page
 from benchmarks.peer_process import PeerProcess, Unavailable, task_of
+from benchmarks.periodic import Costs
 from benchmarks.serving import Recorded, Stopwatch
 from benchmarks.setups import Setup, feedthroughs, oscillator, plant_and_observer
 
@@ -219,6 +220,34 @@ def test_the_page_is_written_between_its_marks_and_again_the_same(tmp_path: Path
     write_page(page, compared, grown, long)
     assert page.read_text(encoding="utf-8") == text
     assert {path.name: path.read_bytes() for path in (tmp_path / "speed").iterdir()} == drawings
+
+
+COSTS = Costs(
+    [Measure("periodic-input observer, h = 1", 1e-7, 1e-5, "Eq. 4 in NumPy")] * 5,
+    [Measure("periodic-input observer, n = 2", 2e-7, 1e-5, "Eq. 4 in NumPy")] * 5,
+    [Measure("periodic-input observers, 4 lags in a row", 5e-7, 5e-5, "Eq. 4 in NumPy")] * 5,
+    ((10, 30, 70, 150, 310), (10, 20, 30, 40, 60), (5, 10, 20, 40, 80)),
+)
+
+
+def test_what_periodic_observers_cost_is_written_where_it_was_measured(tmp_path: Path):
+    page = tmp_path / "speed.md"
+    page.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    write_page(page, [], [], None, COSTS)
+    text = page.read_text(encoding="utf-8")
+    assert "| h = 1 | 0.100 us | 10.0 us | 100 | 10 |" in text
+    assert "| 4 lags in a row | 0.500 us | 50.0 us | 100 | 20 |" in text
+    assert "Operations grow by 10 a harmonic (R² 1.00000) from 1 to 31, 10 a state" in text
+
+
+def test_an_observer_in_numpy_tells_what_its_fmu_tells(monkeypatch: pytest.MonkeyPatch):
+    for name in ("HARMONICS", "STATES", "STAGES"):
+        monkeypatch.setattr(periodic, name, (1, 2))
+    found = periodic.beside_numpy(rounds=1)
+    assert len(found.measures) == 6 and all(one.ours > 0.0 for one in found.measures)
+    assert all(two > one for one, two in found.operations)
+    with pytest.raises(RuntimeError, match=r"h = 1: the w of Eq\. 4 in NumPy is .* of its size away from ours"):
+        periodic._check("h = 1", np.array([1.0, 2.0]), [1.0, 2.001])
 
 
 def test_a_page_without_marks_is_refused():

@@ -19,7 +19,7 @@ from fmus.fmu import load_fmu
 from fmus.tracing import trace
 from harness.campaign import read_campaign
 from harness.cases import execute
-from observers import fourier_least_squares, lag_inversion, periodic_input, rod_inversion
+from observers import fourier_least_squares, lag_inversion, periodic_input, periodic_schedule, rod_inversion
 from observers.periodic import input_row, responses, sampled_error, sampled_monodromy, sampled_multipliers
 from observers.periodic_schedule import Schedule
 
@@ -89,7 +89,7 @@ def test_measured_convergence_per_period_is_the_largest_multiplier(name):
     wanted = certified(model, system, omega)
     truth = C3 if system.harmonics == 3 else C2
     # So many periods that the largest alone is left of the error, but not so many that only rounding is.
-    count = int(np.clip(abs(np.log(1e-9) / np.log(wanted)), 12, 400))
+    count = int(np.clip(abs(np.log(1e-9) / np.log(wanted)), 12, 200))
     found = periods(model, at_rest(system, truth, omega), omega, system.period, count, system.harmonics)
     size = np.log(np.linalg.norm(found - truth, axis=1))
     late = np.arange(count // 2, count)
@@ -211,8 +211,8 @@ def test_on_a_plant_whose_speed_varies_it_ends_near_the_truth(name):
     for k, x in enumerate(run.y.T):
         row = estimator(y=float(system.C[0] @ x), angle=6.0 * k, omega=speed(k * STEP))
     estimator.component.close()
-    # 5 % of speed over 30 or 120 steps a period; measured 6e-4 of the largest harmonic.
-    assert np.abs(told(row, system.harmonics) - truth).max() < 2e-3 * np.abs(truth[1:]).max()
+    # 5 % of speed over 30 or 120 steps a period; measured 2e-4 of the largest harmonic and less.
+    assert np.abs(told(row, system.harmonics) - truth).max() < 1e-3 * np.abs(truth[1:]).max()
 
 
 def test_a_delay_turns_each_harmonic_forward():
@@ -287,7 +287,7 @@ def test_noise_comes_through_as_the_lyapunov_equation_says(name):
         correlation += 2.0 * ((H @ j @ P @ H.T).item() / wanted) ** 2
         j = moved @ j
     omega = 1500.0 * RPM if name == "lag as published" else sigma
-    n, generator = 40_000, np.random.default_rng(4)
+    n, generator = 24_000, np.random.default_rng(4)
     estimator = Filter(model, STEP / omega)
     w = np.array([estimator(y=v, angle=6.0 * k, omega=omega)["w"] for k, v in enumerate(generator.normal(size=n))])
     estimator.component.close()
@@ -433,6 +433,12 @@ def test_what_cannot_work_is_refused_by_name(message):
     setting = {**LAG, "gains": {"design": {"multiplier": 0.3}}, **BAD[message]}
     with pytest.raises(ConfigurationError, match=message):
         periodic_input.make(**setting)
+
+
+def test_a_design_that_no_table_keeps_is_refused(monkeypatch):
+    monkeypatch.setattr(periodic_schedule, "MOST_NODES", 3)
+    with pytest.raises(ConfigurationError, match=r"multiplier of 0\.3.* is 0\.3\d+ between the nodes at .* rpm"):
+        rod_inversion.make({"design": {"multiplier": 0.3}}, **ROD, nodes=3)
 
 
 def test_a_harmonic_that_a_zero_of_the_plant_takes_away_is_named():
