@@ -22,6 +22,7 @@ from observers.imbalance import (
     persist,
     statistic_of,
     threshold_of,
+    variances_of_harmonic_means,
     variances_of_means,
     variances_of_path,
 )
@@ -82,16 +83,17 @@ def make(
     and `pulse` are absent they are those of a raised cosine from `evo` to `evc`.
 
     `inverted` are lags that an observer has taken off w, and `memory` the variance that it leaves a coefficient over
-    that of one cycle's samples: with them `noise` is that of the sensor, and harmonics count by their noise. `noise` is the standard deviation of white noise on w, `scatter` that of each cylinder's own AFR from cycle to cycle
-    or, where the noise is not white, of the deviations themselves; both in the unit of w. The verdict is on where the
-    chi-square statistic of the deviations exceeds what it exceeds with `false_alarm_rate` in a cycle without a fault,
-    for `persistence` cycles in a row. The cylinder in first place of `firing_order` fires at `origin`.
+    that of one cycle's samples: with them `noise` is that of the sensor, and harmonics count by their noise. `noise` is
+    the standard deviation of white noise on w, `scatter` that of each cylinder's own AFR from cycle to cycle or, where
+    the noise is not white, of the deviations themselves; both in the unit of w. The verdict is on where the chi-square
+    statistic of the deviations exceeds what it exceeds with `false_alarm_rate` in a cycle without a fault, for
+    `persistence` cycles in a row. The cylinder in first place of `firing_order` fires at `origin`.
 
     Raises ConfigurationError with all that is wrong with the arguments.
     """
     found = Complaints()
     lags, inverted = ((one,) if isinstance(one, (int, float)) else tuple(one) for one in (lags, inverted))
-    estimators = {"path": _by_path(cells), "exhaust_mean": _by_means}
+    estimators = {"path": _by_path(cells), "exhaust_mean": _by_harmonic_means if inverted else _by_means}
     if estimate not in estimators:
         found.add(f"estimate: {unknown(str(estimate), estimators, 'estimate')}")
     check_decision(firing_order, false_alarm_rate, persistence, sample_time, found)
@@ -165,6 +167,13 @@ def _by_path(cells: int) -> Callable[[Spectrum, Values], Estimate]:
 
 def _by_means(spectrum: Spectrum, p: Values) -> Estimate:
     variances = variances_of_means(p.evc - p.evo, p.noise, CYCLE * spectrum.share, p.scatter)
+    return Estimate(pattern_of(spectrum.means), variances, 1.0)
+
+
+def _by_harmonic_means(spectrum: Spectrum, p: Values) -> Estimate:
+    sizes = noise_sizes(list(p.inverted), p.memory, spectrum.omega)
+    coefficients = [p.noise**2 * spectrum.share * size**2 for size in sizes]
+    variances = variances_of_harmonic_means(p.evc - p.evo, coefficients, p.scatter)
     return Estimate(pattern_of(spectrum.means), variances, 1.0)
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
+from fmus.crankcycle import CYCLE
 from observers.given import Complaints
 from observers.path_inversion import CYLINDERS, Pattern, Phasor
 
@@ -71,6 +72,21 @@ def variances_of_means(length: Any, noise: Any, step: Any, scatter: Any) -> Vari
     density = noise**2 * step / length**2
     own, neighbours = density * (length - step / 2.0), density * np.maximum(length - 180.0, 0.0)
     return Variances(CYLINDERS * (own + scatter**2), CYLINDERS * (own - 2.0 * neighbours + scatter**2))
+
+
+def variances_of_harmonic_means(length: Any, coefficients: Sequence[Any], scatter: Any) -> Variances:
+    """The variances of such means where w is three harmonics, as behind an observer, of E|c_k|^2 = `coefficients` (3,).
+
+    With h_k = sin(x_k)/x_k, x_k = k pi length/720 deg, D_1 = 4 (h_1 c_1 + h_3 c_3*) and D_2 = 8 h_2 Re c_2, but for
+    their phases: E|D_1|^2 = 16 (h_1^2 E|c_1|^2 + h_3^2 E|c_3|^2) + 4 f^2, E D_2^2 = 32 h_2^2 E|c_2|^2 + 4 f^2.
+    """
+    floor = CYLINDERS * scatter**2
+    squares = []
+    for k, coefficient in enumerate(coefficients, start=1):
+        x = k * np.pi * length / CYCLE
+        squares.append((np.sin(x) / x) ** 2 * coefficient)
+    one, two, three = squares
+    return Variances(16.0 * (one + three) + floor, 32.0 * two + floor)
 
 
 def statistic_of(pattern: Pattern, variances: Variances) -> Any:

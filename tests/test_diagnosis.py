@@ -25,10 +25,20 @@ from observers.imbalance import (
     persist,
     statistic_of,
     threshold_of,
+    variances_of_harmonic_means,
     variances_of_means,
     variances_of_path,
 )
-from observers.path_inversion import Path, Pattern, deviations_of, harmonics_of, locate, path_phasors, pattern_of
+from observers.path_inversion import (
+    Path,
+    Pattern,
+    deviations_of,
+    harmonics_of,
+    locate,
+    noise_sizes,
+    path_phasors,
+    pattern_of,
+)
 
 ORDER = (1, 3, 4, 2)
 AFR = 20.0
@@ -213,6 +223,29 @@ def test_variances_are_those_of_the_linear_maps_written_out():
     np.testing.assert_allclose(power, [found.one / 2.0, found.one / 2.0, found.two], rtol=1e-9)
     cross = [np.dot(pattern.one_real, pattern.one_imaginary), np.dot(pattern.one_real, pattern.two)]
     np.testing.assert_allclose(cross, 0.0, atol=1e-9 * power[0] / noise**2)
+
+
+def test_variances_of_harmonics_behind_an_observer_are_those_of_the_linear_maps_written_out():
+    """Of harmonics with noise of their own size through means over windows, and through the path, both by hand."""
+    length, omega, rate, cycles = 240.0, 157.0, 0.01, 200_000
+    sizes = noise_sizes([0.025, 0.02], 0.7, omega)
+    k = np.arange(1, 4)
+    np.testing.assert_allclose(
+        sizes, np.abs(np.sqrt(0.7) * np.prod([1 + 1j * k * omega / 2 * tau for tau in (0.025, 0.02)], axis=0))
+    )
+    generator = np.random.default_rng(3)
+    c = generator.normal(scale=np.sqrt(0.5), size=(2, 3, cycles)) * np.array(sizes)[:, None]
+    c = c[0] + 1j * c[1]
+    window = np.exp(1j * np.outer(k, np.radians(np.linspace(0.0, length, 2001)) / 2.0)).mean(axis=1)
+    means = [2.0 * np.real(np.sum(c * (window * np.exp(1j * k * np.pi * j / 2.0))[:, None], axis=0)) for j in range(4)]
+    variances = variances_of_harmonic_means(length, [size**2 for size in sizes], 0.0)
+    rejected(statistic_of(pattern_of(means), variances), rate)
+    phasors = path_phasors(BARE._replace(mixing_time=MIXING, delay_angle=DELAY), omega)
+    white = [g._replace(size=g.size / size) for g, size in zip(phasors, sizes, strict=True)]
+    over = c / np.array(sizes)[:, None]
+    rejected(
+        statistic_of(locate(list(over.real), list(over.imag), white), variances_of_path(white, 1.0, 1.0, 0.0)), rate
+    )
 
 
 @pytest.mark.parametrize("estimate", ["path", "exhaust_mean"])
