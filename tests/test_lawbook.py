@@ -15,7 +15,7 @@ from fmus.component import Component, Role, Signal, StepError, Vector
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model
-from fmus.plants import driveline, turbo_si, turbo_si_speed
+from fmus.plants import driveline, turbo_si, turbo_si_egr, turbo_si_speed
 from harness.campaign import find_campaign, read_campaign
 from harness.scenario import ModelPart
 from harness.wiring import wire
@@ -28,6 +28,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "driveline": lambda: driveline.MODEL,
     "turbo_si": lambda: turbo_si.MODEL,
     "turbo_si_speed": lambda: turbo_si_speed.MODEL,
+    "turbo_si_egr": lambda: turbo_si_egr.MODEL,
     "hybrid": lambda: hybrid.make(
         **DEMANDS,
         threshold="0.005 rpm",
