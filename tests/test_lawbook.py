@@ -43,6 +43,9 @@ MODELS: dict[str, Callable[[], Model]] = {
     "ukf": lambda: ukf.make(**SENSED, uncertainty=0.1),
     "evasion": lambda: evasion.make(PLANT, 2, 3, delay=0.2, threshold="0.1 rpm", bandwidth=300.0, entry_error=10.0),
 }
+# Cylinders that fire raise the pressure behind the turbine at once and that before it in a millisecond, in which what
+# they do to its speed changes sign: a change that is near zero at its end says nothing of how it began.
+COURSES = {"turbo_si_egr": Course(2e-4)}
 # Each with the step of its default experiment. The ball stays above the ground for these steps.
 REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthrough": 0.1, "Stair": 0.2}
 
@@ -53,7 +56,7 @@ REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthr
 def test_exported_models_keep_the_laws(name: str, fmi: int, kind: str):
     model = MODELS[name]()
     path = cached_fmu(model, fmi)
-    check_component(lambda: load_fmu(path, role=model.role, kind=kind))
+    check_component(lambda: load_fmu(path, role=model.role, kind=kind), COURSES.get(name, Course()))
 
 
 @pytest.mark.parametrize("kind", ["cs", "me"])
