@@ -198,16 +198,27 @@ def build(
 
 @app.command()
 def inspect(
-    fmu: Annotated[Path, typer.Argument(help="An FMU file.")], validation: Tier = "warn", as_json: Json = False
+    fmu: Annotated[Path, typer.Argument(help="An FMU file.")],
+    like: Annotated[
+        str | None, typer.Option(metavar="MODEL", help="Propose which of its variables are this model's signals.")
+    ] = None,
+    validation: Tier = "warn",
+    as_json: Json = False,
 ) -> None:
     """Show what an FMU is, its variables, units and capabilities, and what would stand in the way."""
     if not fmu.is_file():
         raise ConfigurationError(f"no FMU file '{fmu}'")
-    content = describe(fmu, validation).to_json()
+    description = describe(fmu, validation)
+    content, proposed = description.to_json(), []
+    if like is not None:
+        from harness.likeness import find_likeness, likeness_lines
+
+        found = find_likeness(description, like)
+        content, proposed = {**content, "like": found.to_json()}, likeness_lines(found)
     if as_json:
         _print_json(content)
     else:
-        print(*inspection_lines(content), sep="\n")
+        print(*inspection_lines(content), *proposed, sep="\n")
 
 
 @app.command()
