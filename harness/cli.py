@@ -25,6 +25,7 @@ from harness.checking import check as check_fmu
 from harness.doctor import examine, remove_unpacked
 from harness.fmutext import check_lines, inspection_lines, survey_line, words
 from harness.metricslist import metric_kinds, metric_lines
+from harness.noisecommand import add_command as add_noise
 from harness.progress import progress
 from harness.recordexport import Format, Units
 from harness.recordexport import export as export_records
@@ -275,6 +276,7 @@ def _check_folder(folder: Path, page: Path | None, manner: Manner, as_json: bool
 
 
 add_commands(app)
+add_noise(app)
 
 
 @app.command()

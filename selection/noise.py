@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
+from numpy.typing import NDArray
 
 from fmus.component import Vector
 
@@ -61,6 +61,9 @@ class Rule:
     kurtosis: float = -1.0
 
 
+PAPERS = Rule()
+
+
 class Corrected(NamedTuple):
     """Process noise by the rules of Section 3.2, (n,), before and after the correction by kurtosis; and what was done.
 
@@ -72,7 +75,7 @@ class Corrected(NamedTuple):
     rules: tuple[str, ...]
 
 
-def residuals(time: Vector, x: Vector, u: Vector, model: Linear, edges: Vector) -> Residuals:
+def residuals(time: Vector, x: Vector, u: Vector, model: Linear, edges: NDArray[np.intp]) -> Residuals:
     """What a linear model leaves of recorded states x (k, n) and inputs u (k, m) at `time` (k,) [s] (Eq. 22).
 
     r = x' - (rates + A (x - x0) + B (u - u0)), its mean over each interval between the rows `edges`, ascending. That of
@@ -87,10 +90,10 @@ def residuals(time: Vector, x: Vector, u: Vector, model: Linear, edges: Vector) 
     if len(edges) < 2 or not (np.diff(edges) > 0).all() or edges[0] < 0 or edges[-1] >= len(time):
         raise ValueError(f"residuals want ascending rows below {len(time)} as edges")
     rest = model.rates + (x - model.x0) @ model.A.T + (u - model.u0) @ model.B.T
-    whole = cumulative_trapezoid(rest, time, axis=0, initial=0.0)
+    whole = _integrated(time, rest)
     intervals = np.diff(time[edges])
     values = (np.diff(x[edges], axis=0) - np.diff(whole[edges], axis=0)) / intervals[:, None]
-    coarse = cumulative_trapezoid(rest[::2], time[::2], axis=0, initial=0.0)
+    coarse = _integrated(time[::2], rest[::2])
     # By the halves of twice the step: a third of the difference is the finer one's error.
     missed = np.diff((whole[::2] - coarse) / 3.0, axis=0)
     each = len(edges) - 1
@@ -98,6 +101,12 @@ def residuals(time: Vector, x: Vector, u: Vector, model: Linear, edges: Vector) 
     groups = missed[: len(missed) // spans * spans].reshape(-1, spans, x.shape[1]).sum(axis=1)
     lengths = np.diff(time[::2])[: len(groups) * spans].reshape(-1, spans).sum(axis=1)
     return Residuals(values, intervals, np.sqrt(np.mean((groups / lengths[:, None]) ** 2, axis=0)))
+
+
+def _integrated(time: Vector, rates: Vector) -> Vector:
+    """The integral of rates (k, n) from the first row on, by the trapezoidal rule."""
+    pieces = 0.5 * np.diff(time)[:, None] * (rates[1:] + rates[:-1])
+    return np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(pieces, axis=0)])
 
 
 def moments(values: Vector) -> Moments:
@@ -114,7 +123,7 @@ def moments(values: Vector) -> Moments:
     return Moments(mean, deviation, np.where(varies, skewness, 0.0), np.where(varies, fourth - 3.0, 0.0))
 
 
-def corrected(found: Moments, rule: Rule = Rule()) -> Corrected:
+def corrected(found: Moments, rule: Rule = PAPERS) -> Corrected:
     """The diagonal of G by Section 3.2: the standard deviation, corrected by skewness and then by kurtosis.
 
     |S| < rule.skewness         G0 = s                  Eq. 25
