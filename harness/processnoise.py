@@ -97,8 +97,8 @@ def estimate_noise(wishes: NoiseWishes) -> dict[str, Any]:
         "interval": float(intervals.mean()),
         "states": rows,
         "sensors": noise,
-        "process": {row["name"]: f"{row['process']:.6g} {row['unit']}" for row in rows if row["process"] is not None},
-        "noise": {row["name"]: f"{row['noise']:.6g} {row['unit']}" for row in noise if row["noise"] is not None},
+        "process": {row["name"]: _written(row["process"], row["unit"]) for row in rows if row["process"] is not None},
+        "noise": {row["name"]: _written(row["noise"], row["unit"]) for row in noise if row["noise"] is not None},
         "map": dict(found.names),
         "held": held,
         "followed": sorted({name for course in courses for name in course.followed}),
@@ -109,6 +109,11 @@ def estimate_noise(wishes: NoiseWishes) -> dict[str, Any]:
         "rung": space.rung,
         "notes": notes,
     }
+
+
+def _written(value: float, unit: str) -> str:
+    """A value as campaign files have it."""
+    return f"{value:.6g}" if unit == "1" else f"{value:.6g} {unit}"
 
 
 def _understand(wishes: NoiseWishes, operating: Operating) -> _Read:

@@ -45,8 +45,8 @@ class Course(NamedTuple):
 def columns(space: StateSpace, path: Path, mapping: Mapping[str, str], part: str, more: Sequence[str] = ()) -> Columns:
     """The recorded signal of each state and input and of the outputs `more`, as far as there is one.
 
-    A name goes by the mapping, else to `part.name`, else, where no part is named, to the only signal that ends in
-    `.name`, or to `name` itself.
+    A name goes by the mapping, else to `part.name`, else to `name` or `name.value`, as sources and sensors have it,
+    else, where no part is named, to the only signal that ends in `.name`.
 
     Raises ConfigurationError, with all that is wrong: names that are not the model's or not recorded, a name that two
     parts have, units that do not fit.
@@ -89,9 +89,11 @@ def _recorded(path: Path) -> dict[str, str]:
 
 def _candidates(name: str, recorded: Iterable[str], part: str) -> list[str]:
     names = list(recorded)
-    if part:
-        return [one for one in names if one == f"{part}.{name}"]
-    return [one for one in names if one == name] or [one for one in names if one.endswith(f".{name}")]
+    first = [f"{part}.{name}"] if part else []
+    for one in (*first, name, f"{name}.value"):
+        if one in names:
+            return [one]
+    return [] if part else [one for one in names if one.endswith(f".{name}")]
 
 
 def _fits(unit: str, wanted: str) -> bool:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm, solve_discrete_lyapunov
+from scipy.linalg import expm, solve_discrete_are, solve_discrete_lyapunov
 from scipy.stats import multivariate_normal
 
-from selection.likelihood import Course, Sampling, log_likelihood, maximum_likelihood
+from selection.likelihood import Course, Sampling, log_likelihood, maximum_likelihood, stationary_covariances
 from selection.measures import sampled
 
 A = np.array([[-2.0, 1.0, 0.0], [0.0, -5.0, 2.0], [0.5, 0.0, -1.0]])
@@ -75,6 +75,20 @@ def test_the_errors_are_those_of_many_repetitions():
     # Of 24 the deviation is known to 1/sqrt(48) = 14 %, thrice that is allowed; their mean to told/sqrt(24).
     assert logs.std() == pytest.approx(told, rel=0.43)
     assert abs(logs.mean()) < 4.0 * told / np.sqrt(24.0)
+
+
+@pytest.mark.parametrize("growing", [0.9, 1.05])
+def test_the_stationary_covariances_are_scipys(growing):
+    generator = np.random.default_rng(6)
+    F = generator.normal(size=(6, 6))
+    F *= growing / np.abs(np.linalg.eigvals(F)).max()
+    C, R = generator.normal(size=(2, 6)), np.diag([0.1, 2.0])
+    Q = np.array([np.diag(10.0 ** generator.uniform(-4, 1, 6)) for _ in range(5)])
+    found = stationary_covariances(F, C, Q, R)
+    for one, intensity in zip(found, Q, strict=True):
+        expected = solve_discrete_are(F.T, C.T, intensity, R)
+        # Both lose some digits of the smallest eigenvalues to the largest.
+        np.testing.assert_allclose(one, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_several_records_are_one_likelihood():
