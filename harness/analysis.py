@@ -106,7 +106,9 @@ def select_sensors(
     measures: Annotated[str | None, typer.Option(help="gramian,kalman or none; both of up to 10000 sets.")] = None,
     by: Annotated[str, typer.Option(help="What to rank by, the first first.")] = "index,error,cost",
     period: Annotated[str, typer.Option(help="Time between samples.")] = "10 ms",
-    process: Annotated[float, typer.Option(help="What disturbs each state, of its size in a second.")] = 0.01,
+    process: Annotated[
+        str, typer.Option(help="What disturbs each state, of its size in a second; or the file of crankbench noise.")
+    ] = "0.01",
     tolerance: Annotated[float | None, typer.Option(help="Numerical: singular values below it are zero.")] = None,
     seed: Annotated[int, typer.Option(help="Structural and coupled: seed of the random entries.")] = 0,
     also: Annotated[
@@ -137,11 +139,11 @@ def select_sensors(
         _split(forbid),
         _settings(cost),
         _settings(lag),
-        _settings(noise),
+        _noise(_settings(noise)),
         None if measures is None else [word for word in _split(measures) if word != "none"],
         _split(by),
         period,
-        process,
+        _process(process),
         tolerance,
         seed,
         os.cpu_count() or 1,
@@ -163,6 +165,34 @@ def select_sensors(
         print(
             *(entry.load()(kept, page) for entry in entry_points(group="crankbench.selection")), sep="\n", file=stream
         )
+
+
+def _process(text: str) -> float | dict[str, str]:
+    if text.endswith(".json"):
+        return _written(text, "process")
+    try:
+        return float(text)
+    except ValueError:
+        wanted = "a share of the states' sizes, like 0.01, or a file that ends in .json"
+        raise ConfigurationError(f"--process wants {wanted}, got '{text}'") from None
+
+
+def _noise(given: Sequence[str]) -> list[str]:
+    """The settings, those of the files of `crankbench noise` among them before the others."""
+    files = [text for text in given if text.endswith(".json")]
+    found = [f"{name}={value}" for file in files for name, value in _written(file, "noise").items()]
+    return [*found, *(text for text in given if text not in files)]
+
+
+def _written(file: str, key: str) -> dict[str, str]:
+    """What `crankbench noise --out` wrote under a key."""
+    path = Path(file)
+    if not path.is_file():
+        raise ConfigurationError(f"--{key} wants a file of crankbench noise, there is no {path}")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or not isinstance(content.get(key), dict):
+        raise ConfigurationError(f"--{key}: {path} has no '{key}' by name; crankbench noise --out writes one")
+    return {str(name): str(value) for name, value in content[key].items()}
 
 
 def _split(text: str) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,13 +55,16 @@ class Operation(NamedTuple):
 class Operating:
     """A system at its operating point, and the model where it is one; of an FMU there is the structure observed.
 
-    `sensors` are the signals that a model's module declares can be measured; empty where it declares none.
+    `sensors` are the signals that a model's module declares can be measured, `accuracies` how exact, as shares, and
+    `lags` the states of actuators and sensors; empty where it declares none.
     """
 
     space: StateSpace
     model: LinearModel | None = None
     observed: Structure | None = None
     sensors: tuple[str, ...] = ()
+    accuracies: Mapping[str, float] = field(default_factory=dict)
+    lags: tuple[str, ...] = ()
 
     def structure(self) -> Structure:
         """Which entries of A and C are not zero at the point. Raises ConfigurationError: exact arithmetic fails."""
@@ -92,7 +95,14 @@ def operate(operation: Operation) -> Operating:
         space = linearised(system, x, u)
     except (ModelError, SteadyError) as error:
         raise ConfigurationError(f"{operation.target}: {error}") from error
-    return Operating(space, system, sensors=tuple(getattr(importlib.import_module(module), "SENSORS", ())))
+    declared = importlib.import_module(module)
+    return Operating(
+        space,
+        system,
+        sensors=tuple(getattr(declared, "SENSORS", ())),
+        accuracies=getattr(declared, "ACCURACIES", {}),
+        lags=tuple(getattr(declared, "LAGS", ())),
+    )
 
 
 def _read_point(point: Sequence[str]) -> tuple[dict[str, Any], Places]:

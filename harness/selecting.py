@@ -153,7 +153,7 @@ def _measures(wishes: Wishes, space: StateSpace, count: int, notes: list[str]) -
 
 def _plant(space: StateSpace, measured: Measured, choice: Choice, wishes: Wishes) -> Plant:
     gradients = np.concatenate([space.C, np.eye(len(space.states))])[measured.places]
-    noise = Noise(choice.noise, choice.period, wishes.process)
+    noise = Noise(choice.noise, choice.period, choice.process)
     try:
         return plant(space.A, gradients, np.array(choice.lags), scales(space.states), noise)
     except ValueError as error:

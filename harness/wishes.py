@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NamedTuple
@@ -13,6 +13,7 @@ import numpy as np
 from fmus.component import ConfigurationError, Problem, Signal, Vector
 from fmus.model import unknown
 from fmus.sensing import TEMPERATURE_LAG
+from fmus.statespace import scales
 from fmus.units import UnitError, parse_unit
 from harness.operating import Operating
 from harness.quantity import read_measure
@@ -29,6 +30,8 @@ class Wishes:
     """What a user asks of a selection, as it is written on the command line.
 
     Names are those of sensors, which go by what they measure, or patterns like `T_*`, but for `estimate`: states.
+    `process` is one share of the states' sizes, or by state a deviation over the root of a second, which is what
+    `crankbench noise` writes.
     """
 
     estimate: Sequence[str] = ()
@@ -43,7 +46,7 @@ class Wishes:
     measures: Sequence[str] | None = None
     by: Sequence[str] = ("index", "error", "cost")
     period: str = "10 ms"
-    process: float = 0.01
+    process: float | Mapping[str, str] = 0.01
     tolerance: float | None = None
     seed: int = 0
     threads: int = 1
@@ -59,6 +62,7 @@ class Choice(NamedTuple):
     costs: tuple[float, ...]
     limits: Limits
     period: float
+    process: float | Vector
 
 
 def understand(operating: Operating, wishes: Wishes) -> Choice:
@@ -99,11 +103,35 @@ def understand(operating: Operating, wishes: Wishes) -> Choice:
         if deviation <= 0.0:
             problems.append(Problem(f"--noise {name}: wants more than 0, got {deviation:g}"))
     period = _quantity(wishes.period, "s", "--period", problems)
+    process = _process(wishes.process, space.states, problems)
     _check_words(wishes, problems)
     if problems:
         raise ConfigurationError(problems)
     limits = Limits(wishes.most, frozenset(must), frozenset(forbid))
-    return Choice(wanted, tuple(signals), tuple(lags), np.array(noise), tuple(costs), limits, period)
+    return Choice(wanted, tuple(signals), tuple(lags), np.array(noise), tuple(costs), limits, period, process)
+
+
+def _process(asked: float | Mapping[str, str], states: Sequence[Signal], problems: list[Problem]) -> float | Vector:
+    """The process noise in units of the states' sizes: one for all, or one for each."""
+    if isinstance(asked, (int, float)):
+        if not asked >= 0.0:
+            problems.append(Problem(f"--process wants 0 or more, got {asked:g}"))
+        return float(asked)
+    names = [s.name for s in states]
+    found = np.zeros(len(names))
+    missing = [name for name in names if name not in asked]
+    if missing:
+        problems.append(Problem(f"--process has no noise of {', '.join(missing)}; add it to the file's process"))
+    for name, text in asked.items():
+        if name not in names:
+            problems.append(Problem(f"--process {name}: {unknown(name, names, 'state')}"))
+            continue
+        place = names.index(name)
+        value = _quantity(str(text), states[place].unit, f"--process {name}", problems)
+        if value < 0.0:
+            problems.append(Problem(f"--process {name} wants 0 or more, got {text}"))
+        found[place] = value
+    return found / scales(states)
 
 
 def _check_words(wishes: Wishes, problems: list[Problem]) -> None:
@@ -113,8 +141,6 @@ def _check_words(wishes: Wishes, problems: list[Problem]) -> None:
     for word in wishes.measures or ():
         if word not in MEASURES:
             problems.append(Problem(f"--measures {word}: {unknown(word, MEASURES, 'measure')}"))
-    if not wishes.process >= 0.0:
-        problems.append(Problem(f"--process wants 0 or more, got {wishes.process:g}"))
     if wishes.tolerance is not None and not 0.0 < wishes.tolerance < 1.0:
         problems.append(Problem(f"--tolerance wants a number between 0 and 1, got {wishes.tolerance:g}"))
 

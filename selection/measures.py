@@ -38,12 +38,12 @@ class Noise(NamedTuple):
     """Standard deviations of sensors in SI at each sample, the period of samples [s], and what moves the states.
 
     `process` is the intensity of the white noise on each state: the state's deviation after a second, of its size, were
-    it left alone; so a covariance of (process size)^2 each second.
+    it left alone; so a covariance of (process size)^2 each second. One for all states, or (n,) one for each.
     """
 
     sensors: Vector
     period: float
-    process: float
+    process: float | Vector
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def kalman_error(plant: Plant, members: Sequence[int], wanted: Sequence[int]) ->
         return Error(None, f"undetectable: a mode of {unseen[0].real:.3g}/s is not seen and does not die out")
     n, period = len(plant.A), plant.noise.period
     intensity = np.zeros((len(A), len(A)))
-    intensity[:n, :n] = plant.noise.process**2 * np.eye(n)
+    np.fill_diagonal(intensity[:n, :n], np.asarray(plant.noise.process) ** 2)
     F, Q = sampled(A, intensity, period)
     R = np.eye(len(C))
     try:
@@ -193,9 +193,12 @@ def kalman_error(plant: Plant, members: Sequence[int], wanted: Sequence[int]) ->
     rest = np.eye(len(A)) - gain @ C
     after = rest @ before @ rest.T + gain @ gain.T
     residual = F @ after @ F.T + Q - before
-    if not np.abs(residual).max() <= 1e-6 * np.abs(before).max() or np.diag(after)[:n].min() <= 0.0:
+    variances = np.diag(after)[:n]
+    # A state that nothing disturbs is known, and rounding leaves something on either side of zero.
+    known = np.sqrt(EPS) * np.abs(before).max()
+    if not np.abs(residual).max() <= 1e-6 * np.abs(before).max() or variances.min() < -known:
         return Error(None, f"no steady filter: the Riccati equation has a residual of {np.abs(residual).max():.1e}")
-    return Error(np.sqrt(np.diag(after)[list(wanted)]))
+    return Error(np.sqrt(np.maximum(variances, 0.0)[list(wanted)]))
 
 
 def sampled(A: Vector, intensity: Vector, period: float) -> tuple[Vector, Vector]:

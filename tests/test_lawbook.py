@@ -16,7 +16,7 @@ from fmus.controllers import balancing
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model
-from fmus.plants import crank_engine, driveline, exhaust_afr, rod, turbo_si, turbo_si_speed
+from fmus.plants import crank_engine, driveline, exhaust_afr, rod, turbo_si, turbo_si_egr, turbo_si_speed
 from harness.campaign import find_campaign, read_campaign
 from harness.scenario import ModelPart
 from harness.wiring import wire
@@ -44,6 +44,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "exhaust_afr": lambda: exhaust_afr.MODEL,
     "rod": lambda: rod.MODEL,
     "crank_engine": lambda: crank_engine.MODEL,
+    "turbo_si_egr": lambda: turbo_si_egr.MODEL,
     "hybrid": lambda: hybrid.make(
         **DEMANDS,
         threshold="0.005 rpm",
@@ -63,6 +64,9 @@ MODELS: dict[str, Callable[[], Model]] = {
     "torque_imbalance": lambda: torque_imbalance.make(sample_time=1e-3),
     "balancing": lambda: balancing.make(sample_time=1e-3),
 }
+# Cylinders that fire raise the pressure behind the turbine at once and that before it in a millisecond, in which what
+# they do to its speed changes sign: a change that is near zero at its end says nothing of how it began.
+COURSES = {"turbo_si_egr": Course(2e-4)}
 # Each with the step of its default experiment. The ball stays above the ground for these steps.
 REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthrough": 0.1, "Stair": 0.2}
 
@@ -73,7 +77,7 @@ REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthr
 def test_exported_models_keep_the_laws(name: str, fmi: int, kind: str):
     model = MODELS[name]()
     path = cached_fmu(model, fmi)
-    check_component(lambda: load_fmu(path, role=model.role, kind=kind))
+    check_component(lambda: load_fmu(path, role=model.role, kind=kind), COURSES.get(name, Course()))
 
 
 @pytest.mark.parametrize("kind", ["cs", "me"])
