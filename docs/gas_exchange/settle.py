@@ -1,6 +1,6 @@
-"""Find the steady cycle in which `gas_exchange` starts: `python docs/gas_exchange/settle.py` writes working_cycle/rest.py.
+"""Find the steady cycle in which `gas_exchange` starts, and write fmus/working_cycle/rest.py.
 
-From the start values of before it runs the exported plant at the inputs' start values for 15 s, in cycles.
+`python docs/gas_exchange/settle.py`: from the start values of before it runs the exported plant at the inputs' start values for 15 s, in cycles.
 """
 
 from __future__ import annotations

@@ -37,12 +37,15 @@ from fmus.working_cycle.contents import Contents, Ledger, contents
 from fmus.working_cycle.cylinder import CYCLE, constant
 from fmus.working_cycle.mixture import gas
 from fmus.working_cycle.orifice import butterfly, carried, cooled, orifice
-from fmus.working_cycle.rest import MEANS, STATES as REST
+from fmus.working_cycle.rest import MEANS
+from fmus.working_cycle.rest import STATES as REST
 
 N_CYL = 4
 FIRING = (0.0, 3.0 * np.pi, np.pi, 2.0 * np.pi)  # rad, firing top dead centre of each cylinder: 1-3-4-2
 RPM = 30.0 / np.pi
 _SEGMENT = CYCLE / N_CYL
+# Means are made anew so much before the segment's end, rad, that a clock which meets the end has the new ones.
+_EARLY = 0.01 * np.pi / 180.0
 # Volumes, their cells of burnt gas, and the volume parameter of each.
 CELLS = {"mix": 1, "comp": 1, "boost": 5, "im": 1, "em": 1, "t": 1, "tail": 1, "egr": 5}
 
@@ -182,7 +185,7 @@ STATES = (
     ),
 )
 DISCRETE = (
-    Signal("next_segment", "rad", _SEGMENT, "crank angle at which the means are made anew", local=True),
+    Signal("next_segment", "rad", _SEGMENT - _EARLY, "crank angle at which the means are made anew", local=True),
     Signal("past", "1", 0.0, "sums at the last four", shape=(N_CYL, len(_SUMMED)), local=True),
     Signal(
         "mean", "1", [MEANS[name] for name in _SUMMED], "means over the last 720 deg", shape=(len(_SUMMED),), local=True

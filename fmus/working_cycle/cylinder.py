@@ -1,4 +1,7 @@
-"""A cylinder: slider-crank, valves, burning after Wiebe, wall loss after Hohenberg; angles from firing top dead centre."""
+"""A cylinder: slider-crank, valves, burning after Wiebe, wall loss after Hohenberg.
+
+Angles count from firing top dead centre.
+"""
 
 from __future__ import annotations
 

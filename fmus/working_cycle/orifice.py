@@ -10,7 +10,7 @@ from fmus.working_cycle.mixture import Gas, enthalpy
 
 
 class Stream(NamedTuple):
-    """What flows from one place to another: mass and burnt gas [kg/s], enthalpy where it leaves and where it enters [W]."""
+    """What flows between two places: mass and burnt gas [kg/s], enthalpy where it leaves and where it enters [W]."""
 
     W: Any
     burnt: Any
@@ -65,5 +65,5 @@ def cooled(W: Any, a: Gas, b: Gas, effectiveness: Any, coolant: Any) -> Stream:
 
 
 def butterfly(diameter: Any, angle: Any, leak: Any) -> Any:
-    """Open area [m2] of a butterfly valve that is `angle` [rad] open, `leak` [m2] when shut: pi D^2/4 (1 - cos) + leak."""
+    """Area [m2] of a butterfly valve that is `angle` [rad] open, `leak` [m2] when shut: pi D^2/4 (1 - cos) + leak."""
     return 0.25 * np.pi * diameter**2 * (1.0 - np.cos(angle)) + leak
