@@ -1,4 +1,4 @@
-"""The cylinder of `single_cylinder` as reactors of Cantera: under all the same laws, and as fast as Cantera has it.
+"""The cylinder of `single_cylinder` as a reactor of Cantera, under the same laws.
 
 What Cantera brings is its own: thermodynamics of each species (NASA polynomials of GRI-Mech 3.0), the balances of a
 reactor, and CVODES with error control. The laws given to it are written again here, from the same sources.
@@ -6,7 +6,6 @@ reactor, and CVODES with error control. The laws given to it are written again h
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -59,6 +58,16 @@ def gases() -> Gases:
     return Gases(phase, fractions[0], fractions[1], mass, oxygen * oxygen_mass / mass)
 
 
+def space(theta: float, p: Mapping[str, float]) -> tuple[float, float, float]:
+    """Volume [m3], its slope [m3/rad] and the walls' area [m2] at an angle [rad] after top dead centre."""
+    A, r = np.pi * p["bore"] ** 2 / 4.0, p["stroke"] / 2.0
+    height = 2.0 * r / (p["r_c"] - 1.0)
+    beta = np.arcsin(r / p["rod"] * np.sin(theta))
+    s = r * (1.0 - np.cos(theta)) + p["rod"] * (1.0 - np.cos(beta))
+    slope = r * np.sin(theta + beta) / np.cos(beta)
+    return A * (height + s), A * slope, 2.0 * A + np.pi * p["bore"] * (height + s)
+
+
 class CylinderReactor(ct.ExtensibleReactor):
     """A reactor of Cantera to whose balances the laws of the cylinder are added.
 
@@ -71,7 +80,7 @@ class CylinderReactor(ct.ExtensibleReactor):
         self.omega = inputs["N"] * np.pi / 30.0
         phase = known.phase
         names = phase.species_names
-        self.oxygen, self.products = names.index("O2"), {}
+        self.oxygen = names.index("O2")
         grams = phase.molecular_weights / known.fuel_mass
         self.products = {"CO2": grams[names.index("CO2")], "H2O": 0.5 * HYDROGEN * grams[names.index("H2O")]}
         phase.TPY = 298.15, 1e5, known.air
@@ -88,21 +97,11 @@ class CylinderReactor(ct.ExtensibleReactor):
         R = ct.gas_constant / phase.mean_molecular_weight
         return p, T, R, phase.cp / phase.cv, Y, phase.enthalpy_mass
 
-    def volume_at(self, theta: float) -> tuple[float, float, float]:
-        """Volume [m3], its slope [m3/rad] and the walls' area [m2]."""
-        p = self.p
-        A, r = np.pi * p["bore"] ** 2 / 4.0, p["stroke"] / 2.0
-        height = 2.0 * r / (p["r_c"] - 1.0)
-        beta = np.arcsin(r / p["rod"] * np.sin(theta))
-        s = r * (1.0 - np.cos(theta)) + p["rod"] * (1.0 - np.cos(beta))
-        slope = r * np.sin(theta + beta) / np.cos(beta)
-        return A * (height + s), A * slope, 2.0 * A + np.pi * p["bore"] * (height + s)
-
     def after_eval(self, t: float, LHS: Any, RHS: Any) -> None:
         """Add piston, valves, fire and walls."""
         p, phase = self.p, self.known.phase
         theta = -np.pi + self.omega * t
-        _, slope, area = self.volume_at(theta)
+        _, slope, area = space(theta, p)
         pressure, T, mass, Y = phase.P, phase.T, self.mass, phase.Y
         gamma, R, h = phase.cp / phase.cv, ct.gas_constant / phase.mean_molecular_weight, phase.enthalpy_mass
         speed = p["stroke"] * self.omega / np.pi
@@ -111,7 +110,10 @@ class CylinderReactor(ct.ExtensibleReactor):
         power = -pressure * slope * self.omega - loss
         source = np.zeros(phase.n_species)
         phi = theta % (4.0 * np.pi)
-        for outside, kind, opens, closes in ((self.outside[0], "iv", "ivo", "ivc"), (self.outside[1], "ev", "evo", "evc")):
+        for outside, kind, opens, closes in (
+            (self.outside[0], "iv", "ivo", "ivc"),
+            (self.outside[1], "ev", "evo", "evc"),
+        ):
             share = (phi / _DEGREE - p[opens]) / (p[closes] - p[opens])
             if not 0.0 < share < 1.0:
                 continue
@@ -165,12 +167,12 @@ def trace(
 ) -> Trace:
     """The cylinder under all laws of `single_cylinder` from `start` (p, T, F) at -180 deg, at the angles [deg] given."""
     known = gases()
-    reactor = CylinderReactor(known.phase)
+    reactor = CylinderReactor(known.phase, clone=False)
     reactor.obey(known, parameters, inputs)
     phase = known.phase
     phase.TPY = start["T"], start["p"], (1.0 - start["F"]) * known.air + start["F"] * known.burnt
     reactor.syncState()
-    reactor.volume = reactor.volume_at(-np.pi)[0]
+    reactor.volume = space(-np.pi, parameters)[0]
     network = ct.ReactorNet([reactor])
     network.rtol, network.atol = 1e-8, 1e-14
     network.max_time_step = 0.5 * _DEGREE / reactor.omega
@@ -181,7 +183,7 @@ def trace(
             network.advance(instant)
         rows.append((degree * _DEGREE, phase.P, phase.T, reactor.mass))
     theta, p, T, mass = np.array(rows).T
-    volumes = np.array([reactor.volume_at(angle) for angle in theta])
+    volumes = np.array([space(angle, parameters) for angle in theta])
     speed = parameters["stroke"] * reactor.omega / np.pi
     h = 130.0 * volumes[:, 0] ** -0.06 * (1e-5 * p) ** 0.8 * T**-0.4 * (speed + 1.4) ** 0.8
     loss = h * volumes[:, 2] * (T - parameters["T_wall"]) / reactor.omega

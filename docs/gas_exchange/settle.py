@@ -1,6 +1,7 @@
-"""Find the steady cycle in which `gas_exchange` starts, and write fmus/working_cycle/rest.py.
+"""Find the steady cycle in which `gas_exchange` starts, and write it into fmus/working_cycle/rest.py.
 
-`python docs/gas_exchange/settle.py`: from the start values of before it runs the exported plant at the inputs' start values for 15 s, in cycles.
+`python docs/gas_exchange/settle.py` runs the exported plant for 15 s in whole cycles, at the start values of its inputs
+and from the states of before.
 """
 
 from __future__ import annotations

@@ -324,11 +324,14 @@ def _indicators(t: Any, x: Values, m: Values, u: Values, p: Values) -> dict[str,
 
 def _transition(t: Any, x: Values, m: Values, u: Values, p: Values, above: Values) -> dict[str, Any]:
     passed = above.segment
-    mean = (x.sums - m.past[-1]) / np.where(passed, x.sums[-1] - m.past[-1, -1], 1.0)
+    elapsed = x.sums[-1] - m.past[-1, -1]
+    mean = (x.sums - m.past[-1]) / np.where(elapsed > 0.0, elapsed, 1.0)
+    following = (np.floor((x.theta + 2.0 * _EARLY) / _SEGMENT) + 1.0) * _SEGMENT - _EARLY
     return {
-        "next_segment": m.next_segment + passed * _SEGMENT,
+        "next_segment": np.where(passed, following, m.next_segment),
         "past": np.where(passed, np.array([x.sums, *m.past[:-1]]), m.past),
-        "mean": np.where(passed, mean, m.mean),
+        # At the start, where nothing was summed yet, the means stay as they were given.
+        "mean": np.where(np.logical_and(passed, elapsed > 0.0), mean, m.mean),
     }
 
 
@@ -344,5 +347,5 @@ MODEL = Model(
     indicator_names=("segment",),
     indicators=_indicators,
     transition=_transition,
-    solver_step=20e-6,
+    solver_step=30e-6,
 )

@@ -97,5 +97,5 @@ MODEL = Model(
     states=STATES,
     outputs=OUTPUTS,
     parameters=cylinder.PARAMETERS,
-    solver_step=20e-6,
+    solver_step=30e-6,
 )
