@@ -20,7 +20,7 @@ _DEGREE = np.pi / 180.0
 
 
 class Trace(NamedTuple):
-    """Crank angle [rad], pressure [Pa], temperature [K], mass [kg], work [J] and heat lost to the walls [J], (rows,)."""
+    """Crank angle [rad], pressure [Pa], temperature [K], mass [kg], work and heat to the walls [J], each (rows,)."""
 
     theta: NDArray[np.float64]
     p: NDArray[np.float64]
@@ -110,11 +110,9 @@ class CylinderReactor(ct.ExtensibleReactor):
         power = -pressure * slope * self.omega - loss
         source = np.zeros(phase.n_species)
         phi = theta % (4.0 * np.pi)
-        for outside, kind, opens, closes in (
-            (self.outside[0], "iv", "ivo", "ivc"),
-            (self.outside[1], "ev", "evo", "evc"),
-        ):
-            share = (phi / _DEGREE - p[opens]) / (p[closes] - p[opens])
+        for outside, letter in zip(self.outside, "ie", strict=True):
+            kind = f"{letter}v"
+            share = (phi / _DEGREE - p[f"{kind}o"]) / (p[f"{kind}c"] - p[f"{kind}o"])
             if not 0.0 < share < 1.0:
                 continue
             lift = p[f"L_{kind}"] * np.sin(np.pi * share) ** 2
@@ -165,7 +163,7 @@ def trace(
     start: Mapping[str, float],
     degrees: NDArray[np.float64],
 ) -> Trace:
-    """The cylinder under all laws of `single_cylinder` from `start` (p, T, F) at -180 deg, at the angles [deg] given."""
+    """The cylinder under the laws of `single_cylinder` from `start` (p, T, F) at -180 deg, at the angles [deg] given."""
     known = gases()
     reactor = CylinderReactor(known.phase, clone=False)
     reactor.obey(known, parameters, inputs)

@@ -43,7 +43,7 @@ def cylinder_beside_cantera(cycles: int = 20, rounds: int = 5) -> Measure:
 
 
 def engine_beside_itself(cycles: int = 80, rounds: int = 3) -> Measure:
-    """`gas_exchange` as it is exported beside the time that the engine takes at 3200 rpm: the ratio is the slow-down."""
+    """`gas_exchange` as it is exported beside the time that the engine itself takes at 3200 rpm."""
     step = gas_exchange.MODEL.solver_step
     times = [_seconds(gas_exchange.MODEL, step, cycles) for _ in range(rounds)]
     return Measure("working cycle of the whole engine", min(times), CYCLE, "the engine itself at 3200 rpm", TARGET)

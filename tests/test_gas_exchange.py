@@ -84,31 +84,19 @@ def test_mass_burnt_mass_and_energy_are_conserved_whichever_way_the_gas_flows():
     for x in disturbed(60):
         dx, y = evaluated(x, {"egr_valve": 30.0})
         backwards |= {name for name, value in y.items() if name.startswith("W_") and value < 0.0}
-        # What crosses the boundary, from the outputs alone: air, tail gas and what burns.
-        behind = 1.0 if y["W_tail_inst"] >= 0.0 else 0.0
-        tail_F = y["F_t_inst"] if behind else 0.0
-        burnt_in_mix = y["F_mix_inst"] if y["W_a_inst"] < 0.0 else 0.0
-        air_and_tail = y["W_a_inst"] - y["W_tail_inst"]
-        fuel = stored(dx, "m") - air_and_tail
-        made = (1.0 + AF_STOICHIOMETRIC) * fuel
+        # What crosses the boundary, from the outputs alone. At lambda 1 air and fuel burn at 14.6 to 1.
+        air, tail = y["W_a_inst"], y["W_tail_inst"]
+        fuel = stored(dx, "m") - air + tail
+        entering = air * (0.0 if air >= 0.0 else y["F_mix_inst"]) - tail * (y["F_tail_inst"] if tail >= 0.0 else 0.0)
         scale = 1e-12 * max(abs(value) for name, value in y.items() if name.startswith("W_"))
         assert fuel >= -scale
+        assert stored(dx, "b") == pytest.approx(entering + (1.0 + AF_STOICHIOMETRIC) * fuel, abs=20.0 * scale)
         assert dx["mass_net"] == pytest.approx(stored(dx, "m"), abs=scale)
         assert dx["burnt_net"] == pytest.approx(stored(dx, "b"), abs=scale)
-        own_tail = dx["burnt_net"] - made - y["W_a_inst"] * burnt_in_mix
-        # The tail volume's own fraction is no output; it lies between none and all.
-        assert -abs(y["W_tail_inst"]) - 1e-9 <= own_tail <= abs(y["W_tail_inst"]) + 1e-9 and tail_F <= 1.0
-        energy = stored(dx, "U") + dx["K_tc"]
-        assert dx["energy_net"] == pytest.approx(energy, rel=1e-9, abs=1e-6)
-    assert {
-        "W_a_inst",
-        "W_mix_inst",
-        "W_cac_inst",
-        "W_throttle_inst",
-        "W_egr_inst",
-        "W_wg_inst",
-        "W_tail_inst",
-    } < backwards
+        # Terms of up to 1 MW: 1e-12 of them.
+        assert dx["energy_net"] == pytest.approx(stored(dx, "U") + dx["K_tc"], rel=1e-9, abs=1e-6)
+    found = {f"W_{name}_inst" for name in ("a", "mix", "cac", "throttle", "egr", "wg", "tail", "turbine", "cyl", "exh")}
+    assert backwards >= found
 
 
 def test_over_cycles_what_is_stored_is_what_came_to_rounding():
@@ -122,15 +110,13 @@ def test_over_cycles_what_is_stored_is_what_came_to_rounding():
 def test_the_recorded_flows_integrate_to_what_is_stored():
     run = fresh()
     h = 0.25 / 6.0 / OFF["N"]
-    net = simpson(run["W_a_inst"] - run["W_tail_inst"], dx=h)
-    # What burns takes 14.6 of air for one of fuel: the burnt gas that came into being over 15.6 is the fuel.
-    left = simpson(run["W_tail_inst"] * run["F_t_inst"], dx=h)
-    made = run["burnt_stored"][-1] - run["burnt_stored"][0] + left
-    fuel = made / (1.0 + AF_STOICHIOMETRIC)
-    grown = run["mass_stored"][-1] - run["mass_stored"][0]
+    came = simpson(run["W_a_inst"] - run["W_tail_inst"], dx=h)
+    burnt_left = simpson(run["W_tail_inst"] * run["F_tail_inst"], dx=h)
+    grown = {name: run[f"{name}_stored"][-1] - run[f"{name}_stored"][0] for name in ("mass", "burnt")}
+    fuel = (grown["burnt"] + burnt_left) / (1.0 + AF_STOICHIOMETRIC)
     through = simpson(run["W_a_inst"], dx=h)
-    # F_t stands for that of the tail volume, 1e-4 away while the charge changes; a tenth of that comes into the fuel.
-    assert grown == pytest.approx(net + fuel, abs=1e-5 * through)
+    # Simpson's rule over 0.25 deg, in pulsating flows with kinks.
+    assert grown["mass"] == pytest.approx(came + fuel, abs=1e-6 * through)
 
 
 def test_in_the_steady_cycle_energy_goes_where_it_should():
@@ -149,8 +135,8 @@ def test_it_starts_in_its_steady_cycle():
     run = Run(MODEL, {}).on({}, CYCLE, 1)
     for signal in AVERAGED:
         before, after = run[signal.name]
-        # Ten digits are written down; what is left of 15 s of settling is less.
-        assert after == pytest.approx(before, rel=1e-6), signal.name
+        # The solver's steps fall elsewhere in the cycle than they did when it was found: as in the test of the step.
+        assert after == pytest.approx(before, rel=1e-5), signal.name
     run.close()
 
 
@@ -200,17 +186,8 @@ def test_it_goes_the_way_of_its_source_step_by_step():
 def test_the_internal_step_is_short_enough():
     values = {"wastegate": 14.0, "egr_valve": 20.0}
     runs = [Run(MODEL, values, **{"solver.step": step}).on(values, CYCLE / 120, 480) for step in (3e-6, 30e-6)]
-    for name in (
-        "p_im_inst",
-        "p_em_inst",
-        "F_im_inst",
-        "W_egr_inst",
-        "omega_tc_inst",
-        "p_cyl[1]",
-        "p_im",
-        "F_im",
-        "IMEP",
-    ):
+    instants = [f"{name}_inst" for name in ("p_im", "p_em", "F_im", "W_egr", "omega_tc")]
+    for name in (*instants, "p_cyl[1]", "p_im", "F_im", "IMEP"):
         fine, default = (run[name] for run in runs)
         # Kinks where flows turn leave first order: 1e-5 at 20 us, twice that at 40.
         assert np.abs(fine - default).max() < 5e-5 * np.abs(fine).max(), name
@@ -242,7 +219,7 @@ def test_imep_is_the_area_of_the_indicator_diagram():
     slope = 0.25 * np.pi * bore**2 * r * np.sin(phi + beta) / np.cos(beta)
     area = simpson(run["p_cyl[1]"][-2881:] * slope, x=theta)
     displaced = 0.25 * np.pi * bore**2 * stroke
-    # One cylinder's diagram beside the mean of four, in a transient in which the charge falls by some per mille a cycle.
+    # One cylinder's diagram beside the mean of four, while the charge falls by some per mille a cycle.
     assert run["IMEP"][-1] == pytest.approx(area / displaced, rel=5e-3)
 
 

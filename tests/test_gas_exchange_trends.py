@@ -79,7 +79,7 @@ def test_the_egr_ratio_grows_with_the_valve_from_one_and_a_half_to_eleven_per_ce
     for name in ("W_a", "IMEP", "T_em", "omega_tc"):
         values = [y[name] for y in found]
         assert values == sorted(values, reverse=True), name
-    # The flow goes with the valve's area and the root of the drop, and the drop goes with the square of the tail's flow.
+    # The flow goes with the valve's area and the root of the drop, and that root goes with the flow in the tail.
     area = butterfly(P["D_egr"], np.radians(angles), P["A_egr"])
     tail = np.array([y["W_a"] for y in found])
     flow = np.array([y["W_egr"] for y in found])

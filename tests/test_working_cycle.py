@@ -53,7 +53,7 @@ def test_the_temperature_of_an_energy_is_within_a_hundredth_of_a_kelvin():
     for F in (0.0, 0.3, 1.0):
         T = np.linspace(250.0, 3200.0, 400)
         assert np.abs(temperature(energy(T, F), F) - T).max() < 0.01
-        cv = [quad(lambda one: specific_heat(one, F), 300.0, high)[0] for high in (400.0, 3000.0)]
+        cv = [quad(specific_heat, 300.0, high, args=(F,))[0] for high in (400.0, 3000.0)]
         assert [energy(high, F) - energy(300.0, F) for high in (400.0, 3000.0)] == pytest.approx(cv, rel=1e-12)
 
 

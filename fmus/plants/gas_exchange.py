@@ -119,6 +119,8 @@ _MORE = (
         Signal(f"p_{place}", "Pa", 0.0, f"pressure, {place}", nominal=1e5)
         for place in ("mix", "comp", "t", "tail", "egr")
     ),
+    Signal("T_tail", "K", 0.0, "temperature behind the catalyst", nominal=1000.0),
+    Signal("F_tail", "1", 0.0, "burnt fraction behind the catalyst"),
     Signal("W_throttle", "kg/s", 0.0, "flow through the throttle", nominal=0.01),
     Signal("W_exh", "kg/s", 0.0, "flow out of the cylinders", nominal=0.01),
     Signal("W_turbine", "kg/s", 0.0, "flow through the turbine", nominal=0.01),
