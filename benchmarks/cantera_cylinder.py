@@ -163,7 +163,7 @@ def trace(
     start: Mapping[str, float],
     degrees: NDArray[np.float64],
 ) -> Trace:
-    """The cylinder under the laws of `single_cylinder` from `start` (p, T, F) at -180 deg, at the angles [deg] given."""
+    """The cylinder under the laws of `single_cylinder` from `start` (p, T, F) at -180 deg, at angles [deg]."""
     known = gases()
     reactor = CylinderReactor(known.phase, clone=False)
     reactor.obey(known, parameters, inputs)

@@ -47,7 +47,7 @@ class Run:
 
 @cache
 def settled(**values: float) -> dict[str, float]:
-    """Outputs of `gas_exchange` after 2.5 s of held inputs, six of its slowest time constants, at the end of a cycle."""
+    """Outputs of `gas_exchange` after 2.5 s of held inputs, six of its time constants, at the end of a cycle."""
     cycle = 120.0 / values.get("N", 3200.0)
     run = Run(gas_exchange.MODEL, values).on(values, cycle, round(2.5 / cycle))
     last = dict(zip(run.names, run.rows[-1].tolist(), strict=True))
