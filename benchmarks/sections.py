@@ -18,6 +18,7 @@ from benchmarks.periodic import Costs, beside_numpy
 from benchmarks.selection import beside_dense_svd, on_networks
 from benchmarks.setup_time import beside_simulate_fmu
 from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
+from benchmarks.working_cycle import cylinder_beside_cantera, engine_beside_itself
 
 Taken = list[Measure] | Comparison | Costs | Growth | LongRun
 
@@ -41,6 +42,7 @@ def sections(scale: int) -> dict[str, Callable[[], Taken]]:
         "parts": lambda: with_parts(rounds=rounds(40)),
         "signals": lambda: with_signals(rounds=rounds(40)),
         "steps": lambda: with_steps(growth.STEPS if scale == 1 else growth.STEPS[:-1], rounds(3)),
+        "working-cycle": lambda: [cylinder_beside_cantera(rounds=rounds(5)), engine_beside_itself(rounds=rounds(3))],
         "selection": lambda: [*beside_dense_svd(rounds(10)), *on_networks()],
         "periodic": lambda: beside_numpy(rounds(20)),
     }
