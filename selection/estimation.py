@@ -47,8 +47,24 @@ class Estimation:
     def on(self, members: Sequence[int]) -> Estimation:
         """The same with these sensors only, in their order, and without the own states of the others."""
         dropped = {place for i, place in enumerate(self.own) if place is not None and i not in members}
-        kept = [j for j in range(len(self.A)) if j not in dropped]
+        return self._part([j for j in range(len(self.A)) if j not in dropped], list(members))
+
+    def moved(self) -> Estimation:
+        """The same without the states that no noise reaches and that die out: a filter knows them without error.
+
+        Exact: no other state drives them, so their errors stay zero, and a column of zeros drives no other.
+        """
+        reached = np.diag(self.process) > 0.0
+        for _ in range(len(self.A)):
+            reached = reached | ((self.A != 0.0) @ reached.astype(int) > 0)
+        still = np.flatnonzero(~reached)
+        if not len(still) or growing_modes(self.A[np.ix_(still, still)]):
+            return self
+        return self._part(np.flatnonzero(reached).tolist(), range(len(self.C)))
+
+    def _part(self, kept: Sequence[int], members: Sequence[int]) -> Estimation:
         square, rows = np.ix_(kept, kept), list(members)
+        places = {j: place for place, j in enumerate(kept)}
         own = (self.own[i] for i in members)
         return replace(
             self,
@@ -59,7 +75,7 @@ class Estimation:
             W=self.W[:, kept],
             states=tuple(self.states[j] for j in kept),
             sensors=tuple(self.sensors[i] for i in members),
-            own=tuple(None if place is None else kept.index(place) for place in own),
+            own=tuple(None if place is None else places.get(place) for place in own),
         )
 
     def scaled(self, sizes: Vector) -> Estimation:
@@ -103,7 +119,7 @@ def refuse_unsound(system: Estimation) -> None:
     """Nothing where the best filter of all sensors exists, and errs. Raises EstimationError with every problem found."""
     problems = [*_indefinite(system), *_unmoved(system)]
     if not np.any(system.W):
-        problems.append("nothing is wanted: the weights of all states are zero")
+        problems.append("no noise reaches what is wanted: its error dies out with any sensors, or none")
     unseen = unseen_by(system, range(len(system.sensors)))
     if unseen:
         problems.append(f"no sensor sees {unseen}: it does not die out by itself")

@@ -66,23 +66,28 @@ class Costs:
 
     def __init__(self, system: Estimation) -> None:
         self.solves = 0
-        self._known: dict[frozenset[int], float] = {}
+        self._known: dict[frozenset[int], Vector | None] = {}
         self._grows = bool(growing_modes(system.A))
-        self.system = system.scaled(_sizes(system))
+        self.system = system.scaled(_above_zero(filter_sizes(system)))
 
     def cost(self, members: Sequence[int]) -> float:
         """J of a set; infinite where it does not see a mode that does not die out."""
+        variances = self.variances(members)
+        return np.inf if variances is None else float(variances.sum())
+
+    def variances(self, members: Sequence[int]) -> Vector | None:
+        """The variance of each element of z (k,), whose sum is J; None where that is infinite."""
         key = frozenset(members)
         if key not in self._known:
             self._known[key] = self._solve(sorted(key))
         return self._known[key]
 
-    def _solve(self, members: list[int]) -> float:
+    def _solve(self, members: list[int]) -> Vector | None:
         if self._grows and unseen_by(self.system, members):
-            return np.inf
+            return None
         seen = self.system.on(members)
         X = self._riccati(seen.A, seen.C.T @ seen.C, seen.process)
-        return float(np.trace(seen.W @ X @ seen.W.T))
+        return np.einsum("ij,jk,ik->i", seen.W, X, seen.W)
 
     def tangent(self, use: Vector) -> Tangent | None:
         """The tangent of J where `use` (m,) of each sensor is there; None where that sees not all it must see."""
@@ -132,7 +137,7 @@ def best_filter(system: Estimation, members: Sequence[int]) -> Filter:
         named = ", ".join(system.sensors[m] for m in members) or "no sensor"
         raise EstimationError([f"undetectable: {named} does not see {unseen}"])
     own = system.on(members)
-    sizes = _sizes(own)
+    sizes = _above_zero(filter_sizes(own))
     seen = own.scaled(sizes)
     if members:
         try:
@@ -168,16 +173,19 @@ def error_norm(system: Estimation, gain: Vector) -> tuple[float, float]:
     return float(np.trace(system.W @ X @ system.W.T)), decay
 
 
-def _sizes(system: Estimation) -> Vector:
-    """Deviations of the states, where they have any: in these units the Riccati equation keeps the most digits.
+def filter_sizes(system: Estimation) -> Vector:
+    """Deviations of the states (n,) as the noise moves them: in these units Riccati equations keep the most digits.
 
-    Of a system with modes that do not die out, those of the error with all sensors.
+    Of a system with modes that do not die out, those of the error of the best filter of all sensors.
     """
     try:
-        sizes = deviations(system)
+        return deviations(system)
     except EstimationError:
         X = covariance(system.A, (system.C.T / system.noise) @ system.C, system.process)
-        sizes = np.sqrt(np.maximum(np.diag(X), 0.0))
+        return np.asarray(np.sqrt(np.maximum(np.diag(X), 0.0)))
+
+
+def _above_zero(sizes: Vector) -> Vector:
     return np.where(sizes > 0.0, sizes, 1.0)
 
 
