@@ -133,7 +133,9 @@ def select_sensors(
 ) -> None:
     """Rank sets of sensors by how directly they see the states to estimate, or by how well a filter with them does."""
     from harness.operating import Operation
-    from harness.selecting import SHOWN, Selected, select
+    from harness.optimaltext import optimised_csv, print_optimised, stages_told
+    from harness.optimising import Optimised
+    from harness.selecting import SHOWN, select
     from harness.selectiontext import csv_text, print_selected, sets_told
     from harness.wishes import Wishes
 
@@ -164,20 +166,17 @@ def select_sensors(
     )
     others = [operation._replace(point=(*operation.point, place)) for place in also or ()]
     stream = sys.stderr if as_json else sys.stdout
-    told, printed, as_csv = sets_told, print_selected, csv_text
-    if method in BY_ERROR:
-        from harness.optimaltext import optimised_csv, print_optimised, stages_told
-
-        told, printed, as_csv = stages_told, print_optimised, optimised_csv
-    with told(stream) as tell:
+    with (stages_told if method in BY_ERROR else sets_told)(stream) as tell:
         selected = select(operation, wishes, others, tell)
     most_shown = None if show_all else SHOWN
     if as_json:
         print(json.dumps(plain(selected.to_json(most_shown)), indent=1, ensure_ascii=False))
+    elif isinstance(selected, Optimised):
+        print_optimised(selected, most_shown, stream)
     else:
-        printed(selected, most_shown, stream)
+        print_selected(selected, most_shown, stream)
     if out is not None:
-        write_whole(out, as_csv(selected))
+        write_whole(out, optimised_csv(selected) if isinstance(selected, Optimised) else csv_text(selected))
         print(out, file=stream)
     if page is not None:
         kept = keep(page, selected.to_json(most_shown))

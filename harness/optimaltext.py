@@ -1,4 +1,4 @@
-"""A selection by error for a terminal: progress while it runs, the ranked table with the proofs, and the table as CSV."""
+"""A selection by error for a terminal: progress while it runs, the ranked table with the proofs, the table as CSV."""
 
 from __future__ import annotations
 

@@ -270,7 +270,9 @@ def _swept_notes(swept: Tradeoff, names: Sequence[str], terms: Terms) -> list[st
         notes.append(f"the weights did not settle at alpha {', '.join(unsettled)}")
     for one in swept.chosen:
         if not terms.allow(one.sensors):
-            notes.append(f"the program chose {' '.join(names[m] for m in one.sensors)}, which the budget does not allow")
+            notes.append(
+                f"the program chose {' '.join(names[m] for m in one.sensors)}, which the budget does not allow"
+            )
     return notes
 
 

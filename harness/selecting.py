@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmus.component import ConfigurationError, Vector
+from fmus.component import ConfigurationError
 from fmus.model import ModelError
-from fmus.statespace import AT_REST, StateSpace, imbalance, scales, si_unit, unrest
+from fmus.statespace import StateSpace, scales
 from harness.operating import Operation, operate
-from harness.runfolder import VERSIONED, commit
 from harness.selectionsystem import is_moving, moving, plant_of, refuse_unrest, sensor_told, system_told, within_budget
 from harness.wishes import MEASURES, Choice, Wishes, understand
-from selection.measures import Noise, Plant, plant
 from selection.methods import ByIndex
 from selection.observability import Measured, Options, observe
 from selection.ranking import Asked, Ranked, Told, as_json, evaluate, rank, sets_within

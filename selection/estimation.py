@@ -1,4 +1,4 @@
-"""A linear estimation problem: what moves the states, what sensors see through their noise, and what is wanted of it."""
+"""A linear estimation problem: what moves the states, what sensors see through their noise, and what is wanted."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DEFINITE = 1e-12
 
 
 class EstimationError(ValueError):
-    """An estimation that has no answer; each problem names the mode, the sensors or the states that stand in the way."""
+    """An estimation that has no answer; each problem names the mode, sensors or states that stand in the way."""
 
     def __init__(self, problems: Sequence[str]) -> None:
         super().__init__("; ".join(problems))
@@ -96,9 +96,7 @@ class Estimation:
         )
 
 
-def estimation_of(
-    plant: Plant, wanted: Sequence[int], states: Sequence[str], sensors: Sequence[str]
-) -> Estimation:
+def estimation_of(plant: Plant, wanted: Sequence[int], states: Sequence[str], sensors: Sequence[str]) -> Estimation:
     """The estimation of the wanted states (places) of a plant with all of its sensors, their own states behind.
 
     z are the wanted states over their sizes. A sensor of standard deviation sigma at each sample of period h carries
@@ -116,8 +114,10 @@ def estimation_of(
 
 
 def refuse_unsound(system: Estimation) -> None:
-    """Nothing where the best filter of all sensors exists, and errs. Raises EstimationError with every problem found."""
-    problems = [*_indefinite(system), *_unmoved(system)]
+    """Nothing where the best filter of all sensors exists and errs. Raises EstimationError with every problem found."""
+    problems = _indefinite(system)
+    if np.isfinite(system.process).all():
+        problems += _unmoved(system)
     if not np.any(system.W):
         problems.append("no noise reaches what is wanted: its error dies out with any sensors, or none")
     unseen = unseen_by(system, range(len(system.sensors)))
@@ -162,13 +162,16 @@ def _indefinite(system: Estimation) -> list[str]:
     uneven = np.argwhere(np.abs(process - process.T) > DEFINITE * np.abs(process).max(initial=0.0))
     if len(uneven):
         one, other = (system.states[j] for j in uneven[0])
-        return [*problems, f"the process noise wants a symmetric covariance: {one} with {other} is not {other} with {one}"]
+        return [
+            *problems,
+            f"the process noise wants a symmetric covariance: {one} with {other} is not {other} with {one}",
+        ]
     # In units in which every diagonal is one, so that no state's unit hides another's fault.
     size = np.sqrt(np.where(np.diag(process) > 0.0, np.diag(process), 1.0))
     values, vectors = np.linalg.eigh(process / np.outer(size, size))
     if values[0] < -DEFINITE * max(values[-1], -values[0]):
-        told = f"the process noise is indefinite: {values[0]:.3g} of a variance in {taking_part(vectors[:, 0], system.states)}"
-        problems.append(told)
+        named = taking_part(vectors[:, 0], system.states)
+        problems.append(f"the process noise is indefinite: {values[0]:.3g} of a variance in {named}")
     return problems
 
 

@@ -66,11 +66,11 @@ def _best(
     """
     found, cost = None, below
     for least, added in _in_order(tangents, terms, members, free):
-        if found is not None and least > cost * (1.0 + WORTHWHILE) or least >= below:
+        if (found is not None and least > cost * (1.0 + WORTHWHILE)) or least >= below:
             break
         tried = tuple(sorted((*members, added)))
         value = tangents.costs.cost(tried)
-        if found is None and value <= cost or value < cost * (1.0 - WORTHWHILE):
+        if (found is None and value <= cost) or value < cost * (1.0 - WORTHWHILE):
             found, cost = tried, value
     return found
 

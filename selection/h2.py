@@ -50,7 +50,7 @@ _STRETCHED = 100.0
 
 
 class SdpError(ArithmeticError):
-    """The solver did not solve the problem, or what it returned does not hold: its status, and what is off by how much."""
+    """The solver did not solve the problem, or what it returned does not hold: its status, or what is off and how far."""
 
 
 class Residuals(NamedTuple):
@@ -140,7 +140,9 @@ class Program:
         constraints = [cp.bmat([[T, -Q.T], [-Q, P]]) >> 0, -0.5 * (stability + stability.T) >> 0]
         trace = cp.trace(P @ scaled.process) + cp.trace(T)
         used = self._weights @ cp.sum(cp.abs(Q), axis=0)
-        self._problem: cvxpy.Problem = cp.Problem(cp.Minimize(self._worth * (trace / self._stretch) + used), constraints)
+        self._problem: cvxpy.Problem = cp.Problem(
+            cp.Minimize(self._worth * (trace / self._stretch) + used), constraints
+        )
 
     def solve(self, alpha: float, weights: Vector) -> Solution:
         """The solution for an alpha in [0, 1) and weights (m,) of ||Q_j||_1.
@@ -162,7 +164,7 @@ class Program:
         P, Q, T = (np.asarray(one.value, dtype=float) / self._stretch for one in (self._P, self._Q, self._T))
         trace = float(np.trace(P @ self.scaled.process) + np.trace(T))
         try:
-            gain = np.linalg.solve(P, Q)
+            gain = np.asarray(np.linalg.solve(P, Q), dtype=np.float64)
             residuals = self._residuals(P, Q, T, gain, trace)
         except (np.linalg.LinAlgError, EstimationError) as error:
             raise SdpError(f"alpha {alpha:.3g}: {SOLVER} said {status}, but L = P^-1 Q is no gain: {error}") from error
@@ -206,17 +208,16 @@ def reweighted(program: Program, alpha: float, full: Solution, must: Sequence[in
     """
     largest = float(full.norms.max())
     free = np.array([float(j not in must) for j in range(len(full.norms))])
-    weights, counted, settled = free / largest, np.full(len(free), np.inf), False
-    for rounds in range(1, MOST_ROUNDS + 1):
+    weights, counted = free / largest, np.full(len(free), np.inf)
+    rounds = 0
+    while True:
+        rounds += 1
         solution = program.solve(alpha, weights)
         before, counted = counted, weights * solution.norms
         settled = bool(np.abs(counted - before).max() <= SETTLED)
-        if settled:
-            break
-        used, weights = weights, free / (solution.norms + HARDLY * largest)
-    else:
-        weights = used
-    return Relaxed(solution, weights, counted, rounds, settled)
+        if settled or rounds == MOST_ROUNDS:
+            return Relaxed(solution, weights, counted, rounds, settled)
+        weights = free / (solution.norms + HARDLY * largest)
 
 
 def scaling(system: Estimation, by: Scaling) -> Vector:

@@ -37,8 +37,8 @@ _MOST_DOUBLINGS = 60
 class Noise(NamedTuple):
     """Standard deviations of sensors in SI at each sample, the period of samples [s], and what moves the states.
 
-    `process` is the intensity of the white noise on each state, one for all or shape (n,): the state's deviation after a
-    second, of its size, were it left alone; so a covariance of (process size)^2 each second.
+    `process` is the intensity of the white noise on each state, one for all or of shape (n,): the state's deviation
+    after a second, of its size, were it left alone; so a covariance of (process size)^2 each second.
     """
 
     sensors: Vector

@@ -1,7 +1,7 @@
 """The set of so many sensors with the least error, and the proof that there is none better: branch and bound.
 
-The cost is J of `selection.riccati`. More sensors never raise it: no set of a branch is better than all the sensors that
-are left in it together. Better bounds come from tangents of J, by `selection.tangents`; the first at a branch is taken
+The cost is J of `selection.riccati`. More sensors never raise it: no set of a branch is better than all that are left
+in it together. Better bounds come from tangents of J, by `selection.tangents`; the first of all is taken
 with all that are left, so that its bound is never below their cost.
 
 Ties in cost are broken by the places of the sensors as the search meets them; the same system gives the same set.

@@ -1,4 +1,4 @@
-"""The least error that a set of sensors allows, from the filter's Riccati equation, and how it changes with each sensor.
+"""The least error that a set of sensors allows, by the filter's Riccati equation, and how it changes with each sensor.
 
 The best filter of a set S has the covariance X, the stabilising solution of
 
@@ -21,9 +21,10 @@ One Riccati and one Lyapunov equation bound the costs of all sets at once. More 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import schur, solve_continuous_are, solve_continuous_lyapunov
 
 from fmus.component import Vector
@@ -116,7 +117,10 @@ def covariance(A: Vector, M: Vector, Q: Vector) -> Vector:
     _, vectors, stable = schur(np.block([[A.T, -M], [-Q, -A]]), sort="lhp")
     if stable != n:
         raise EstimationError([f"the Riccati equation has no stabilising solution: {stable} of {n} modes are stable"])
-    X = _symmetric(np.linalg.solve(vectors[:n, :n].T, vectors[n:, :n].T))
+    try:
+        X = _symmetric(np.linalg.solve(vectors[:n, :n].T, vectors[n:, :n].T))
+    except np.linalg.LinAlgError as error:
+        raise EstimationError(["the Riccati equation has no stabilising solution: a mode is not seen"]) from error
     left = _left_over(A, M, Q, X)
     if left > LEFT_OVER:
         X = _symmetric(solve_continuous_lyapunov(A - X @ M, -(Q + X @ M @ X)))
@@ -132,20 +136,17 @@ def best_filter(system: Estimation, members: Sequence[int]) -> Filter:
     Raises EstimationError: a mode that does not die out is not seen, it is named; there is no stabilising solution;
     the residual is not small, or the error system has another H2 norm.
     """
-    unseen = unseen_by(system, members)
-    if unseen:
-        named = ", ".join(system.sensors[m] for m in members) or "no sensor"
-        raise EstimationError([f"undetectable: {named} does not see {unseen}"])
+    _refuse_unseen(system, members)
     own = system.on(members)
     sizes = _above_zero(filter_sizes(own))
     seen = own.scaled(sizes)
     if members:
         try:
-            X = np.asarray(solve_continuous_are(seen.A.T, seen.C.T, seen.process, np.eye(len(seen.C))))
+            X = _symmetric(np.asarray(solve_continuous_are(seen.A.T, seen.C.T, seen.process, np.eye(len(seen.C)))))
         except np.linalg.LinAlgError as error:
             raise EstimationError([f"the Riccati equation has no stabilising solution: {error}"]) from error
     else:
-        X = np.asarray(solve_continuous_lyapunov(seen.A, -seen.process))
+        X = _symmetric(np.asarray(solve_continuous_lyapunov(seen.A, -seen.process)))
     M = seen.C.T @ seen.C
     left = _left_over(seen.A, M, seen.process, X)
     if not left <= LOST:
@@ -176,13 +177,22 @@ def error_norm(system: Estimation, gain: Vector) -> tuple[float, float]:
 def filter_sizes(system: Estimation) -> Vector:
     """Deviations of the states (n,) as the noise moves them: in these units Riccati equations keep the most digits.
 
-    Of a system with modes that do not die out, those of the error of the best filter of all sensors.
+    Of a system with modes that do not die out, those of the error of the best filter of all sensors. Raises
+    EstimationError: these do not see one of them.
     """
-    try:
+    if not growing_modes(system.A):
         return deviations(system)
-    except EstimationError:
-        X = covariance(system.A, (system.C.T / system.noise) @ system.C, system.process)
-        return np.asarray(np.sqrt(np.maximum(np.diag(X), 0.0)))
+    _refuse_unseen(system, range(len(system.sensors)))
+    X = covariance(system.A, (system.C.T / system.noise) @ system.C, system.process)
+    return np.asarray(np.sqrt(np.maximum(np.diag(X), 0.0)))
+
+
+def _refuse_unseen(system: Estimation, members: Sequence[int]) -> None:
+    """Nothing where a set sees every mode that does not die out. Raises EstimationError: it names set and modes."""
+    unseen = unseen_by(system, members)
+    if unseen:
+        named = f"{', '.join(system.sensors[m] for m in members)} does not see" if members else "nothing sees"
+        raise EstimationError([f"undetectable: {named} {unseen}"])
 
 
 def _above_zero(sizes: Vector) -> Vector:
@@ -196,5 +206,5 @@ def _left_over(A: Vector, M: Vector, Q: Vector, X: Vector) -> float:
     return float(np.abs(drift + drift.T - corrected + Q).max() / terms)
 
 
-def _symmetric(X: Vector) -> Vector:
-    return 0.5 * (X + X.T)
+def _symmetric(X: NDArray[Any]) -> Vector:
+    return np.asarray(0.5 * (X + X.T), dtype=np.float64)

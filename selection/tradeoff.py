@@ -1,15 +1,16 @@
-"""The trade of error against the number of sensors: the semidefinite program over alpha, and the sets that it chooses."""
+"""The trade of error against the number of sensors: the semidefinite program over alpha, and the sets it chooses."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from selection.estimation import Estimation
+from selection.estimation import Estimation, EstimationError
 from selection.h2 import Program, Relaxed, SdpError, Solution, refit, reweighted, scaling
 from selection.methods import Scaling
 
@@ -102,11 +103,11 @@ def _worths(tried: dict[float, Tried], sizes: Sequence[int]) -> Iterator[float]:
     """What a sensor is to be worth next: until the largest and the smallest size are met, then between others."""
     low, high = _BEGIN
     yield low
-    while low > _LEAST and _size(tried[low]) < max(sizes) and len(tried) < MOST_ALPHAS:
+    while low > _LEAST and _size(tried[low], 0) < max(sizes) and len(tried) < MOST_ALPHAS:
         low /= 10.0
         yield low
     yield high
-    while high < _MOST and _size(tried[high]) > min(sizes) and len(tried) < MOST_ALPHAS:
+    while high < _MOST and _size(tried[high], max(sizes) + 1) > min(sizes) and len(tried) < MOST_ALPHAS:
         high *= 10.0
         yield high
     while len(tried) < MOST_ALPHAS:
@@ -118,17 +119,19 @@ def _worths(tried: dict[float, Tried], sizes: Sequence[int]) -> Iterator[float]:
 
 def _between(tried: dict[float, Tried], sizes: Sequence[int]) -> float | None:
     """Half-way between two neighbours of which the one gives more sensors than a size not met yet, the other fewer."""
-    known = [worth for worth in sorted(tried) if tried[worth].sensors is not None]
-    met = {_size(tried[worth]) for worth in known}
+    known = {worth: len(sensors) for worth in sorted(tried) if (sensors := tried[worth].sensors) is not None}
     for size in sizes:
-        for one, other in zip(known, known[1:], strict=False):
-            if size not in met and _size(tried[one]) > size > _size(tried[other]) and other > _CLOSE * one:
-                return math.sqrt(one * other)
+        for one, other in pairwise(known):
+            if size not in known.values() and known[one] > size > known[other] and other > _CLOSE * one:
+                between = math.sqrt(one * other)
+                if between not in tried:
+                    return between
     return None
 
 
-def _size(tried: Tried) -> int:
-    return 0 if tried.sensors is None else len(tried.sensors)
+def _size(tried: Tried, unknown: int) -> int:
+    """How many sensors were chosen; `unknown` where the solver failed, so that the search goes on."""
+    return unknown if tried.sensors is None else len(tried.sensors)
 
 
 def _refitted(system: Estimation, tried: Sequence[Tried], sizes: Sequence[int]) -> Iterator[Chosen]:
@@ -137,5 +140,5 @@ def _refitted(system: Estimation, tried: Sequence[Tried], sizes: Sequence[int]) 
         alphas = tuple(one.alpha for one in tried if one.sensors == members)
         try:
             yield Chosen(members, alphas, refit(system, members), "")
-        except SdpError as error:
+        except (SdpError, EstimationError) as error:
             yield Chosen(members, alphas, None, str(error))
