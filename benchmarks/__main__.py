@@ -17,11 +17,13 @@ from benchmarks.comparison import Comparison
 from benchmarks.growth import Growth
 from benchmarks.long_run import LongRun
 from benchmarks.measure import Measure
+from benchmarks.optimal import SearchGrowth, draw_growth
 from benchmarks.page import write_page
 from benchmarks.sections import Taken, measures_of, sections, take_apart
 
 RESULTS = Path(__file__).parent / "results.json"
 PAGE = Path(__file__).parents[1] / "docs" / "speed.md"
+SEARCHES = PAGE.parent / "selection" / "growth.svg"
 
 
 def write_results(measures: Sequence[Measure], path: Path) -> None:
@@ -84,6 +86,9 @@ def main(
         growths = [one for one in taken.values() if isinstance(one, Growth)]
         write_page(PAGE, comparisons, growths, next((one for one in taken.values() if isinstance(one, LongRun)), None))
         print(f"written: {PAGE}")
+        for grown in (one for one in taken.values() if isinstance(one, SearchGrowth)):
+            draw_growth(grown, SEARCHES)
+            print(f"written: {SEARCHES}")
 
 
 if __name__ == "__main__":

@@ -38,9 +38,7 @@ def engine_estimation() -> Estimation:
     gradients = np.concatenate([space.C, np.eye(len(space.states))])[found.places]
     signals = {s.name: s for s in (*space.states, *space.outputs)}
     noise = np.array([0.01 * signals[n].nominal * parse_unit(signals[n].unit).factor for n in found.sensors])
-    made = plant(
-        space.A, gradients, np.array(found.time_constants), scales(space.states), Noise(noise, 0.01, 0.01)
-    )
+    made = plant(space.A, gradients, np.array(found.time_constants), scales(space.states), Noise(noise, 0.01, 0.01))
     return estimation_of(made, WANTED, [s.name for s in space.states], found.sensors)
 
 

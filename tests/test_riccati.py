@@ -129,9 +129,9 @@ def test_a_set_that_does_not_see_a_growing_mode_is_named_with_the_mode_and_its_s
     assert Costs(APART).cost([0]) == math.inf and Costs(APART).cost([0, 1]) < math.inf
     assert Costs(APART).tangent(np.array([1.0, 0.0])) is None
     assert unseen_by(APART, [0]) == "the mode at 0.3 1/s in x0" and unseen_by(APART, [1]) == ""
-    with pytest.raises(EstimationError, match="undetectable: y0 does not see the mode at 0.3 1/s in x0"):
+    with pytest.raises(EstimationError, match=r"undetectable: y0 does not see the mode at 0.3 1/s in x0"):
         best_filter(APART, [0])
-    with pytest.raises(EstimationError, match="undetectable: nothing sees the mode at 0.3 1/s in x0"):
+    with pytest.raises(EstimationError, match=r"undetectable: nothing sees the mode at 0.3 1/s in x0"):
         best_filter(APART, [])
 
 
@@ -148,7 +148,10 @@ def test_every_reason_why_there_is_no_best_filter_is_told_at_once():
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"process": np.array([[1.0, 2.0], [2.0, 1.0]])}, "the process noise is indefinite: -1 of a variance in x0, x1"),
+        (
+            {"process": np.array([[1.0, 2.0], [2.0, 1.0]])},
+            "the process noise is indefinite: -1 of a variance in x0, x1",
+        ),
         ({"process": np.diag([1.0, -0.5])}, "the process noise is indefinite: -0.5 of a variance in x1"),
         ({"process": np.array([[1.0, 0.5], [0.0, 1.0]])}, "wants a symmetric covariance: x0 with x1 is not x1 with x0"),
         ({"process": np.full((2, 2), math.nan)}, "the process noise is not finite"),
