@@ -9,10 +9,12 @@ import numpy as np
 import scipy.linalg
 from engine_sensors import WANTED, measured
 
+from benchmarks.selection import engine
 from fmus.statespace import scales
 from fmus.units import parse_unit
 from selection.estimation import Estimation, estimation_of
 from selection.measures import Noise, plant
+from selection.observability import Measured
 
 
 def random_estimation(seed: int, n: int, m: int, growth: float = -0.5, wanted: int = 2) -> Estimation:
@@ -32,8 +34,18 @@ def given(A, C, process, noise, W) -> Estimation:
 
 @cache
 def engine_estimation() -> Estimation:
-    """The 13 states of the turbocharged engine and its 17 sensors, six of them with a state of their own."""
-    found = measured("open")
+    """The 13 states of the turbocharged engine with the throttle open, and its 17 sensors, six with a state each."""
+    return _with_sensors(measured("open"))
+
+
+@cache
+def engine_estimation_as_started() -> Estimation:
+    """The same where its start values settle."""
+    found, _ = engine()
+    return _with_sensors(found)
+
+
+def _with_sensors(found: Measured) -> Estimation:
     space = found.space
     gradients = np.concatenate([space.C, np.eye(len(space.states))])[found.places]
     signals = {s.name: s for s in (*space.states, *space.outputs)}

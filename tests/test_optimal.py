@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from estimations import engine_estimation, given, random_estimation, scipy_cost, subsets
+from estimations import engine_estimation, engine_estimation_as_started, given, random_estimation, scipy_cost, subsets
 from hypothesis import given as drawn
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -202,3 +203,17 @@ def test_the_optimum_alone_takes_a_twentieth_of_the_solutions():
         assert best_set(Whole(tangents), tangents, terms, len(one.sensors), known).proven
     # 200 or so are measured for 9,401 sets.
     assert costs.solves < len(subsets(17, 1, 2, 3, 4, 5)) / 20
+
+
+def test_the_engines_sets_in_the_documentation_are_what_comes_out():
+    page = (Path(__file__).parents[1] / "docs" / "selection.md").read_text(encoding="utf-8")
+    begin = page.index("| sensors | best set | error |")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page[begin:].split("\n\n")[0].split("\n")]
+    system = engine_estimation_as_started()
+    for row, one in zip(rows[2:], best_sets(system, Costs(system), Terms(np.ones(17)), range(1, 6)), strict=True):
+        named = {system.sensors[m] for m in one.optimum.sensors}
+        assert (int(row[0]), set(row[1].split())) == (one.size, named)
+        assert float(row[2]) == pytest.approx(math.sqrt(one.optimum.cost / 3.0), abs=5e-6)
+        if one.safest is not None:
+            assert set(row[4].split()) == {system.sensors[m] for m in one.safest.sensors}
+            assert float(row[5]) == pytest.approx(math.sqrt(one.safest.cost / 3.0), abs=5e-6)
