@@ -17,12 +17,14 @@ from benchmarks.comparison import Comparison
 from benchmarks.growth import Growth
 from benchmarks.long_run import LongRun
 from benchmarks.measure import Measure
+from benchmarks.optimal import SearchGrowth, draw_growth
 from benchmarks.page import write_page
 from benchmarks.periodic import Costs
 from benchmarks.sections import Taken, measures_of, sections, take_apart
 
 RESULTS = Path(__file__).parent / "results.json"
 PAGE = Path(__file__).parents[1] / "docs" / "speed.md"
+SEARCHES = PAGE.parent / "selection" / "growth.svg"
 
 
 def write_results(measures: Sequence[Measure], path: Path) -> None:
@@ -87,6 +89,9 @@ def main(
         costs = next((one for one in taken.values() if isinstance(one, Costs)), None)
         write_page(PAGE, comparisons, growths, long, costs)
         print(f"written: {PAGE}")
+        for grown in (one for one in taken.values() if isinstance(one, SearchGrowth)):
+            draw_growth(grown, SEARCHES)
+            print(f"written: {SEARCHES}")
 
 
 if __name__ == "__main__":

@@ -14,13 +14,14 @@ from benchmarks.long_run import STEPS as LONG
 from benchmarks.long_run import LongRun, long_run, measures_memory
 from benchmarks.loop import beside_fmpy
 from benchmarks.measure import Measure
+from benchmarks.optimal import SearchGrowth, beside_every_set, growing
 from benchmarks.periodic import Costs, beside_numpy
 from benchmarks.selection import beside_dense_svd, on_networks
 from benchmarks.setup_time import beside_simulate_fmu
 from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
 from benchmarks.working_cycle import cylinder_beside_cantera, engine_beside_itself
 
-Taken = list[Measure] | Comparison | Costs | Growth | LongRun
+Taken = list[Measure] | Comparison | Costs | Growth | SearchGrowth | LongRun
 
 
 def sections(scale: int) -> dict[str, Callable[[], Taken]]:
@@ -43,6 +44,8 @@ def sections(scale: int) -> dict[str, Callable[[], Taken]]:
         "signals": lambda: with_signals(rounds=rounds(40)),
         "steps": lambda: with_steps(growth.STEPS if scale == 1 else growth.STEPS[:-1], rounds(3)),
         "working-cycle": lambda: [cylinder_beside_cantera(rounds=rounds(5)), engine_beside_itself(rounds=rounds(3))],
+        "best-sets": lambda: beside_every_set(rounds(3)),
+        "best-sets-growth": growing,
         "selection": lambda: [*beside_dense_svd(rounds(10)), *on_networks()],
         "periodic": lambda: beside_numpy(rounds(20)),
     }
@@ -66,4 +69,6 @@ def measures_of(taken: Taken) -> list[Measure]:
     """The measures in what a section gave."""
     if isinstance(taken, (Comparison, Costs)):
         return taken.measures
+    if isinstance(taken, SearchGrowth):
+        return taken.measures()
     return taken if isinstance(taken, list) else [taken.measure()]
