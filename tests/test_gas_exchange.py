@@ -19,7 +19,8 @@ from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.jacobians import point
 from fmus.model import FlatModel
-from fmus.plants.gas_exchange import AVERAGED, CELLS, FIRING, MODEL, OUTPUTS, PARAMETERS, STATES
+from fmus.plants.gas_exchange import MODEL
+from fmus.working_cycle.engine_signals import AVERAGED, CELLS, FIRING, OUTPUTS, PARAMETERS, STATES
 from fmus.working_cycle.mixture import AF_STOICHIOMETRIC, enthalpy
 from harness.building import Export, build_model
 from harness.campaign import read_campaign

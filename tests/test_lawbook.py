@@ -59,7 +59,7 @@ def test_exported_models_keep_the_laws(name: str, fmi: int, kind: str):
 @pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_crank_resolved_engine_keeps_the_laws(fmi: int):
     # As Co-Simulation only: by a solver with error control, the burnt fraction of the EGR pipe, which does not feel the
-    # throttle within a millisecond, differs by the solver's error from run to run, and the law takes that for an effect.
+    # throttle within a millisecond, differs by the solver's error, and the law takes that for an effect.
     path = cached_fmu(gas_exchange.MODEL, fmi)
     check_component(lambda: load_fmu(path))
 
