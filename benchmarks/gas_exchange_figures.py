@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -19,7 +20,7 @@ from fmus.plants import gas_exchange, single_cylinder
 from fmus.units import parse_unit
 
 FOLDER = Path(__file__).parents[1] / "docs" / "gas_exchange"
-STYLE = {
+STYLE: dict[Any, Any] = {
     "svg.hashsalt": "crankbench",
     "svg.fonttype": "none",
     "font.family": "DejaVu Sans",

@@ -1,4 +1,4 @@
-"""One cylinder, motored and fired, beside a reactor of Cantera under the same laws."""
+"""One cylinder, motored and fired, beside a reactor of Cantera: under the same laws, and for speed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from cycle_runs import Run
 
+from benchmarks import working_cycle
 from benchmarks.cantera_cylinder import MOTORED, Trace, trace
+from benchmarks.working_cycle import cylinder_beside_cantera
 from fmus.plants.single_cylinder import MODEL, STATES
 
 CASES = {
@@ -61,3 +63,14 @@ def test_work_and_wall_loss_of_a_cycle_are_those_of_a_cantera_reactor(name):
 def test_the_fire_makes_the_difference_that_the_comparison_is_about():
     fired, motored = both("fired")[1], both("motored")[1]
     assert fired.p.max() > 2.5 * motored.p.max() and fired.work[-1] > 500.0 > 0.0 > motored.work[-1]
+
+
+def test_the_benchmark_measures_both_cylinders_once_they_are_near_enough():
+    measure = cylinder_beside_cantera(cycles=3, rounds=1)
+    assert measure.ours > 0.0 and measure.peer > 0.0
+
+
+def test_the_benchmark_refuses_settings_that_are_too_loose(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(working_cycle, "CANTERA", (1e-2, 30.0))
+    with pytest.raises(RuntimeError, match=r"the pressure of Cantera is \S+ of its peak off, wanted less than 0\.001"):
+        cylinder_beside_cantera(cycles=3, rounds=1)

@@ -14,12 +14,14 @@ from cycle_runs import Run, inputs, settled
 from fmpy.validation import validate_fmu
 from scipy.integrate import simpson
 
+from benchmarks.gas_exchange_figures import draw
 from fmus import derivatives
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.jacobians import point
 from fmus.model import FlatModel
-from fmus.plants.gas_exchange import AVERAGED, CELLS, FIRING, MODEL, OUTPUTS, PARAMETERS, STATES
+from fmus.plants.gas_exchange import MODEL
+from fmus.working_cycle.engine_signals import AVERAGED, CELLS, FIRING, OUTPUTS, PARAMETERS, STATES
 from fmus.working_cycle.mixture import AF_STOICHIOMETRIC, enthalpy
 from harness.building import Export, build_model
 from harness.campaign import read_campaign
@@ -250,6 +252,14 @@ def test_the_page_names_every_parameter_and_every_output():
     words = set(re.findall(r"\w+", text))
     assert [signal.name for signal in PARAMETERS if signal.name not in words] == []
     assert [s.name for s in OUTPUTS if s.name not in words and s.name.removesuffix("_inst") not in words] == []
+
+
+@pytest.mark.slow
+def test_the_figures_of_the_page_are_drawn_by_its_command(tmp_path: Path):
+    drawn = {path.name for path in draw(tmp_path, points=2)}
+    shown = set(re.findall(r"\(gas_exchange/(\w+\.svg)\)", PAGE.read_text(encoding="utf-8")))
+    kept = {path.name for path in (PAGE.parent / "gas_exchange").glob("*.svg")}
+    assert drawn == shown == kept
 
 
 def test_it_shares_nothing_with_the_models_in_mean_values():

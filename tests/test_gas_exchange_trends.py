@@ -7,7 +7,8 @@ import pytest
 from cycle_runs import Run, settled
 
 from fmus.plants import single_cylinder
-from fmus.plants.gas_exchange import MODEL, PARAMETERS
+from fmus.plants.gas_exchange import MODEL
+from fmus.working_cycle.engine_signals import PARAMETERS
 from fmus.working_cycle.orifice import butterfly
 
 P = {signal.name: float(signal.start) for signal in PARAMETERS}

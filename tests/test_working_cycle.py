@@ -277,5 +277,5 @@ def test_every_parameter_names_its_source():
 
 def test_shaft_speed_is_that_of_its_kinetic_energy():
     assert turbocharger.shaft_speed(0.5 * 2.5e-5 * 9000.0**2, 2.5e-5) == pytest.approx(9000.0)
-    assert turbocharger.shaft_speed(-1e-9, 2.5e-5) == 0.0
+    assert turbocharger.shaft_speed(-1e-9, 2.5e-5) == 1e-3  # rad/s, its floor
     assert isinstance(gas(1e5, 300.0, 0.0), Gas)

@@ -14,8 +14,9 @@ import numpy as np
 from fmus.component import Vector
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
-from fmus.plants.gas_exchange import AVERAGED, MODEL
+from fmus.plants.gas_exchange import MODEL
 from fmus.units import parse_unit
+from fmus.working_cycle.engine_signals import AVERAGED
 
 HELD = ("m_", "U_", "b_", "W_c", "K_tc")
 SECONDS = 15.0

@@ -104,9 +104,11 @@ def burning(phi: Any, omega: Any, air: Any, richness: Any, p: Values) -> Burning
     Fuel comes into being as it burns: air over AF_s, and 1/lambda of that where lambda < 1.
     All of it and the air become burnt gas; only what has air gives heat, eta_b q_lhv.
     """
-    y = np.clip((phi - p.burn_0 * _DEGREE) / (p.burn_d * _DEGREE), 0.0, 1.0)
+    share = (phi - p.burn_0 * _DEGREE) / (p.burn_d * _DEGREE)
+    y = np.clip(share, 1e-6, 1.0)  # a power of zero has no derivative with respect to its exponent
     left = np.exp(-p.burn_a * y ** (p.burn_m + 1.0))
-    hazard = np.where(y < 1.0, p.burn_a * (p.burn_m + 1.0) * y**p.burn_m / (p.burn_d * _DEGREE), 0.0)
+    burns = np.logical_and(share > 0.0, share < 1.0)
+    hazard = np.where(burns, p.burn_a * (p.burn_m + 1.0) * y**p.burn_m / (p.burn_d * _DEGREE), 0.0)
     rate = omega * air * hazard * left / (np.maximum(richness, 1.0) - 1.0 + left)
     fuel = rate / (AF_STOICHIOMETRIC * np.minimum(richness, 1.0))
     return Burning(fuel, rate + fuel, p.eta_b * p.q_lhv * rate / AF_STOICHIOMETRIC)

@@ -54,12 +54,17 @@ def _integral(coefficients: tuple[float, ...], T: float) -> float:
     return sum(k * 1e3 * (T / 1e3) ** (i + 1) / (i + 1) for i, k in enumerate(coefficients))
 
 
-# So that h = u + R T is zero at the reference.
-_U_0 = tuple(-_integral(k, T_REFERENCE) - R * T_REFERENCE for k, R in ((_AIR, R_AIR), (_BURNT, R_BURNT)))
-_GUESS_0 = tuple(
-    -b * T_REFERENCE - d / (T_REFERENCE + _T_0) - R * T_REFERENCE
-    for b, d, R in zip(_B, _D, (R_AIR, R_BURNT), strict=True)
-)
+def _zero(coefficients: tuple[float, ...], R: float) -> float:
+    """What makes h = u + R T zero at the reference."""
+    return -_integral(coefficients, T_REFERENCE) - R * T_REFERENCE
+
+
+def _zero_of_guess(b: float, d: float, R: float) -> float:
+    return -b * T_REFERENCE - d / (T_REFERENCE + _T_0) - R * T_REFERENCE
+
+
+_U_0 = (_zero(_AIR, R_AIR), _zero(_BURNT, R_BURNT))
+_GUESS_0 = (_zero_of_guess(_B[0], _D[0], R_AIR), _zero_of_guess(_B[1], _D[1], R_BURNT))
 
 
 def specific_heat(T: Any, F: Any) -> Any:

@@ -40,8 +40,8 @@ class Compressor(NamedTuple):
 
 
 def shaft_speed(kinetic: Any, inertia: Any) -> Any:
-    """omega [rad/s] of the kinetic energy J omega^2/2 [J]."""
-    return np.sqrt(2.0 * np.maximum(kinetic, 0.0) / inertia)
+    """omega [rad/s] of the kinetic energy J omega^2/2 [J], 1 mrad/s at rest, so that the root has a slope."""
+    return np.sqrt(np.maximum(2.0 * kinetic / inertia, 1e-6))
 
 
 def compressor(W: Any, inlet: Gas, omega: Any, p: Values) -> Compressor:
