@@ -25,6 +25,7 @@ def selection_content(asked: ReportedSelection, campaign: Campaign) -> dict[str,
         noise=[f"{name}={noise}" for name, noise in asked.noise.items()],
         period=str(asked.period),
         process=asked.process,
+        disturbances=[f"{name}={value}" for name, value in asked.disturbances.items()],
     )
     others = [Operation(asked.target, (place,), asked.parameter_set) for place in asked.also_at]
     try:

@@ -103,6 +103,9 @@ class ReportedSelection(Strict):
     noise: dict[str, Quantity] = Field(default_factory=dict, description="standard deviations of samples, by sensor")
     period: Quantity = Field(Measure(10.0, "ms"), description="time between samples")
     process: float = Field(0.01, ge=0.0, description="what disturbs each state, of its size in a second")
+    disturbances: dict[str, Quantity] = Field(
+        default_factory=dict, description="what disturbs single states instead: deviation after a second, by state"
+    )
     also_at: list[str] = Field(default_factory=list, description="points to show the structure at, too")
 
 

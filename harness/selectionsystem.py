@@ -93,9 +93,13 @@ def system_told(operation: Operation, space: StateSpace, choice: Choice, wishes:
         "imbalance": float(_imbalance(space).max(initial=0.0)),
         "rung": space.rung,
         "error": space.error,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONED}},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in _packages(wishes)}},
         "commit": commit(),
     }
+
+
+def _packages(wishes: Wishes) -> tuple[str, ...]:
+    return (*VERSIONED, "cvxpy", "clarabel") if wishes.method == "h2" else VERSIONED
 
 
 def within_budget(sets: Sequence[tuple[int, ...]], choice: Choice, wishes: Wishes) -> list[tuple[int, ...]]:
