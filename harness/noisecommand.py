@@ -30,6 +30,10 @@ def noise(
     ] = None,
     parameter_set: Annotated[str | None, typer.Option("--set", help="A named parameter set of the model.")] = None,
     settle: Annotated[bool, typer.Option("--settle", help="Let it come to rest from there first.")] = False,
+    about: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE,...", help="What the record rests at where the model does at the point."),
+    ] = None,
     part: Annotated[str, typer.Option(help="The part whose signals the model's names stand for.")] = "",
     mapping: Annotated[
         list[str] | None,
@@ -65,7 +69,7 @@ def noise(
     found = estimate_noise(
         NoiseWishes(
             record, operation, _split(mapping), part, after, until, average, _split(accuracy), _split([lags]),
-            _split([sensors]), by, Rule(skewness, kurtosis),
+            _split([sensors]), by, Rule(skewness, kurtosis), _split(about),
         )
     )  # fmt: skip
     if as_json:
