@@ -14,6 +14,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
+from fmus.plants import turbo_si_egr
 from fmus.plants.turbo_si_egr import ACCURACIES, LAGS, SENSORS
 from fmus.plants.turbo_si_egr_reference import STEADY
 from harness.campaign import read_campaign
@@ -49,7 +50,7 @@ class Family(NamedTuple):
 
 
 FAMILIES = {
-    "kf": Family("published", "noise by the paper's rules"),
+    "kf": Family("published", "noise as published"),
     "kd": Family("density", "noise by spectral density"),
 }
 
@@ -73,17 +74,17 @@ def estimated() -> Estimated:
         if outcome != "ok":
             raise RuntimeError(f"the reference engine ended as {outcome}")
         operation = Operation(MODEL, POINT, PARAMETER_SET, settled=True)
-        about = [f"{name}={value:.8g} {unit}".strip() for name, (value, unit) in origin().items()]
+        about = [f"{name}={value}" for name, value in origin().items()]
         wishes = NoiseWishes(run, operation, part="plant", after=AFTER, average="720 deg", about=about)
         found = estimate_noise(wishes)
     process = {
         family.by: {
-            row["name"]: _written(0.0 if row["name"] in LAGS else row[family.by], row["unit"])
+            row["name"]: _quantity(0.0 if row["name"] in LAGS else row[family.by], row["unit"])
             for row in found["states"]
         }
         for family in FAMILIES.values()
     }
-    noise = {row["name"]: _written(row["noise"], row["unit"]) for row in found["sensors"]}
+    noise = {row["name"]: _quantity(row["noise"], row["unit"]) for row in found["sensors"]}
     return Estimated(process, noise, {by: _expected(operation, noise, one) for by, one in process.items()})
 
 
@@ -98,12 +99,11 @@ def _expected(operation: Operation, noise: Mapping[str, str], process: Mapping[s
     return {members: by_set[members] if members else told["without_sensors"] * size for members in SETS}
 
 
-def origin() -> dict[str, tuple[float, str]]:
-    """What the reference shows at the named point under the names of the control model: values in SI with units."""
-    units = {"p": "Pa", "T": "K", "F": "1", "W": "kg/s", "omega": "rad/s"}
-    shown = {name: (value, units[name.split("_")[0]]) for name, value in REFERENCE.items() if "_" in name}
-    del shown["egr_valve"]
-    return shown | {sensor: (REFERENCE[flow], "kg/s") for sensor, flow in MEASURED.items()}
+def origin() -> dict[str, str]:
+    """What the reference shows at the named point under the names of the control model, with units."""
+    units = {signal.name: signal.unit for signal in (*turbo_si_egr.MODEL.states, *turbo_si_egr.MODEL.outputs)}
+    shown = REFERENCE | {sensor: REFERENCE[flow] for sensor, flow in MEASURED.items()}
+    return {name: _quantity(value, units[name], 8) for name, value in shown.items() if name in units}
 
 
 def named(kind: str, members: Sequence[str]) -> str:
@@ -157,8 +157,7 @@ def _everyone() -> list[str]:
 
 def _linear(kind: str, family: Family, members: Set, found: Estimated) -> Iterator[str]:
     first = kind == next(iter(FAMILIES)) and not members
-    about = ", ".join(f"{name}: {value:.8g}{'' if unit == '1' else ' ' + unit}" for name, (value, unit) in
-                      origin().items() if name not in ("p_t", "p_mix"))  # fmt: skip
+    about = ", ".join(f"{name}: {value}" for name, value in origin().items())
     yield f"  {named(kind, members)}:"
     yield "    use: observers.linear_kalman"
     yield "    with:"
@@ -389,10 +388,10 @@ def _selection(found: Estimated) -> Iterator[str]:
     yield "    process: *published"
 
 
-def _written(value: float | None, unit: str) -> str:
+def _quantity(value: float | None, unit: str, digits: int = 4) -> str:
     if value is None:
         raise RuntimeError("a noise was not estimated: the record lacks a state")
-    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+    return f"{value:.{digits}g}" if unit == "1" else f"{value:.{digits}g} {unit}"
 
 
 PLANT = "fmus.plants.turbo_si_egr"
