@@ -98,6 +98,10 @@ def select_sensors(
     point: At = None,
     parameter_set: ParameterSet = None,
     settle: Settle = False,
+    about: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE,...", help="What a reference shows at the point, which counts as rest."),
+    ] = None,
     sensors: Annotated[str, _names("States and outputs that may be measured, or patterns.")] = "",
     must: Annotated[str, _names("Sensors that every set has.")] = "",
     forbid: Annotated[str, _names("Sensors that no set has.")] = "",
@@ -144,7 +148,7 @@ def select_sensors(
     for path, suffix, option in ((out, ".csv", "--out"), (page, ".html", "--report")):
         if path is not None and path.suffix != suffix:
             raise ConfigurationError(f"{option} wants a file that ends in {suffix}, got {path}")
-    operation = Operation(target, point or (), parameter_set, settle, validation)
+    operation = Operation(target, point or (), parameter_set, settle, validation, about=about or ())
     wishes = Wishes(
         _split(estimate),
         most,

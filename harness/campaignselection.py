@@ -29,7 +29,8 @@ def selection_content(asked: ReportedSelection, campaign: Campaign) -> dict[str,
         else {name: str(value) for name, value in asked.process.items()},
         disturbances=[f"{name}={value}" for name, value in asked.disturbances.items()],
     )
-    operation = Operation(asked.target, asked.at, asked.parameter_set, asked.settle)
+    about = [f"{name}={value}" for name, value in asked.about.items()]
+    operation = Operation(asked.target, asked.at, asked.parameter_set, asked.settle, about=about)
     others = [operation._replace(point=(*asked.at, place)) for place in asked.also_at]
     try:
         selected = select(operation, wishes, others, lambda what, done, total: None)

@@ -65,11 +65,11 @@ def noise(
         raise ConfigurationError(
             f"--skewness wants 0 or more and --kurtosis less than 0, got {skewness:g} and {kurtosis:g}"
         )
-    operation = Operation(model, point or (), parameter_set, settle, validation)
+    operation = Operation(model, point or (), parameter_set, settle, validation, about=about or ())
     found = estimate_noise(
         NoiseWishes(
             record, operation, _split(mapping), part, after, until, average, _split(accuracy), _split([lags]),
-            _split([sensors]), by, Rule(skewness, kurtosis), _split(about),
+            _split([sensors]), by, Rule(skewness, kurtosis),
         )
     )  # fmt: skip
     if as_json:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from fmus.component import ConfigurationError, Problem, Signal, Vector
+from fmus.component import ConfigurationError, Problem, Vector
 from fmus.model import unknown
 from fmus.statespace import StateSpace, imbalance, scales, si_unit
 from fmus.units import UnitError, parse_unit
@@ -34,8 +34,7 @@ QUADRATURE = 0.1
 class NoiseWishes:
     """What a user asks, as it is written on the command line.
 
-    `about` are `signal=value` of what the record rests at where the model rests at the point, which is then taken for an
-    equilibrium. `mapping` are `signal=recorded`, or the JSON file of `crankbench inspect --like`; `lags` states without process
+    `mapping` are `signal=recorded`, or the JSON file of `crankbench inspect --like`; `lags` states without process
     noise, and `sensors` what is measured: those that the model's module declares where none is named.
     """
 
@@ -51,7 +50,6 @@ class NoiseWishes:
     sensors: Sequence[str] = ()
     by: By = "published"
     rule: Rule = PAPERS
-    about: Sequence[str] = ()
 
 
 class _Read(NamedTuple):
@@ -70,7 +68,7 @@ def estimate_noise(wishes: NoiseWishes) -> dict[str, Any]:
     Raises ConfigurationError: no record, names and units that do not fit, a linear model that nothing can be said of.
     """
     operating = operate(wishes.operation)
-    space = _about(operating.space, wishes.about)
+    space = operating.space
     read = _understand(wishes, operating)
     if not wishes.record.exists():
         raise ConfigurationError(f"no record at {wishes.record}")
@@ -148,37 +146,6 @@ def _understand(wishes: NoiseWishes, operating: Operating) -> _Read:
     if problems:
         raise ConfigurationError(problems)
     return _Read(lags, sensors, np.array(list(accuracies.values())), (after, until), average)
-
-
-def _about(space: StateSpace, given: Sequence[str]) -> StateSpace:
-    """The same matrices about the values given, without what moves at the point; as it is where none is given.
-
-    Raises ConfigurationError: a name that is no state, output or input, a value of another dimension.
-    """
-    if not given:
-        return space
-    problems: list[Problem] = []
-    signals = {s.name: s for s in (*space.inputs, *space.outputs, *space.states)}
-    values: dict[str, float] = {}
-    for text in given:
-        name, equals, value = (part.strip() for part in text.partition("="))
-        if not equals or name not in signals:
-            problems.append(Problem(f"--about {text}: {unknown(name, signals, 'state, output or input')}"))
-            continue
-        values[name] = _quantity(value, signals[name].unit, f"--about {name}", problems)
-    if problems:
-        raise ConfigurationError(problems)
-
-    def moved(of: Sequence[Signal], at: Vector) -> Vector:
-        return np.array([values.get(s.name, v) for s, v in zip(of, at, strict=True)])
-
-    return replace(
-        space,
-        x0=moved(space.states, space.x0),
-        u0=moved(space.inputs, space.u0),
-        y0=moved(space.outputs, space.y0),
-        rates=np.zeros(len(space.rates)),
-    )
 
 
 def _is_angle(text: str) -> bool:

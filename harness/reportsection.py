@@ -98,6 +98,9 @@ class ReportedSelection(Strict):
     parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
     at: list[str] = Field(default_factory=list, description="the point, like N=3200 rpm")
     settle: bool = Field(False, description="whether the model comes to rest from the point first")
+    about: dict[str, Quantity] = Field(
+        default_factory=dict, description="what a reference shows at the point, which then counts as rest"
+    )
     estimate: list[str] = Field(min_length=1, description="the states to estimate")
     max_sensors: int = Field(3, ge=1)
     method: Method = "structural"

@@ -17,7 +17,7 @@ from fmus.units import parse_quantity, parse_unit
 from harness.campaign import find_campaign, read_campaign
 from harness.campaigns import egr_cycle, egr_sensors
 from harness.cases import execute
-from harness.operating import Operation, operate
+from harness.operating import operate
 from harness.places import read_yaml, read_yaml_file
 from observers import linear_kalman
 from reports.folder import read_run
@@ -46,7 +46,7 @@ def si(text: str, unit: str) -> float:
 
 @cache
 def space() -> StateSpace:
-    return operate(Operation("turbo_si_egr", egr_sensors.POINT, "reference", settled=True)).space
+    return operate(egr_sensors.OPERATION).space
 
 
 @cache
@@ -160,7 +160,7 @@ def test_the_reference_point_is_where_the_plant_starts():
 def test_the_cycle_is_that_of_the_text():
     assert min(egr_cycle.SPEED.values()) == 2400 and max(egr_cycle.SPEED.values()) == 4000
     for points in (egr_cycle.SPEED, egr_cycle.WASTEGATE, egr_cycle.EGR_VALVE):
-        assert list(points) == sorted(points) and list(points)[0] == 0.0 and list(points)[-1] == 30.0
+        assert list(points) == sorted(points) and next(iter(points)) == 0.0 and list(points)[-1] == 30.0
 
 
 def test_every_set_has_a_linear_filter_of_each_noise_on_the_same_sensors():
@@ -177,7 +177,9 @@ def shortened(tmp_path):
     """The campaign with four filters, one case and 5 s."""
     content = document()
     kept = ["kf_none", "kf_EGR_DP", "kf_MAFa", "kf_EGR_DP_MAFa"]
-    parts = {n: part for n, part in content["parts"].items() if n in kept or not n.startswith(("kf_", "kd_", "ekf_"))}
+    parts = {
+        n: part for n, part in content["parts"].items() if n in kept or not n.startswith(("kf_", "kd_", "own_", "ekf_"))
+    }
     ranking = content["report"]["rankings"][0]
     values = {key: ranking["measures"]["expected"]["values"][key] for key in kept}
     short = {
@@ -188,9 +190,7 @@ def shortened(tmp_path):
         "metrics": {f"rmse_{name}": content["metrics"][f"rmse_{name}"] for name in ("model", *kept)},
         "accept": ["rmse_kf_EGR_DP_MAFa < 5 %", "rmse_model < 5 %"],
         "report": {
-            "rankings": [
-                {**ranking, "experiments": [], "measures": {"expected": {"values": values}}, "resamples": 100}
-            ]
+            "rankings": [{**ranking, "experiments": [], "measures": {"expected": {"values": values}}, "resamples": 100}]
         },
     }
     path = tmp_path / "short.yaml"

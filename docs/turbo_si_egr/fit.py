@@ -8,7 +8,8 @@ are pressures, temperatures, flows and the turbocharger's speed at rest: no burn
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -116,9 +117,7 @@ def fitted(points: Sequence[Mapping[str, float]]) -> Fit:
     def left(shares: Vector) -> Vector:
         return np.log(resting(dict(zip(FITTED, shares * first, strict=True))) / wanted).ravel()
 
-    found = least_squares(
-        left, np.ones(len(FITTED)), bounds=RANGE, diff_step=1e-3, ftol=1e-6, xtol=1e-6, x_scale=0.1
-    )
+    found = least_squares(left, np.ones(len(FITTED)), bounds=RANGE, diff_step=1e-3, ftol=1e-6, xtol=1e-6, x_scale=0.1)
     best = dict(zip(FITTED, (float(f"{value:.6g}") for value in found.x * first), strict=True))
     return Fit(best, np.reshape(found.fun, wanted.shape))
 
@@ -130,22 +129,34 @@ def written(points: Sequence[Mapping[str, float]], fit: Fit) -> str:
     lines = [
         '"""Steady points of the engine `gas_exchange`, and the parameters of `turbo_si_egr` that were fitted to them.',
         "",
-        "Computed [C] by `python docs/turbo_si_egr/fit.py`: means of a cycle after eight seconds at each point, in SI but",
-        "for the inputs N [rpm], wastegate [mm] and egr_valve [deg]. The fit is by least squares on what is at rest, each",
-        f"relative to its size: {', '.join(COMPARED)}.",
+        "Computed [C] by `python docs/turbo_si_egr/fit.py`: means of a cycle after eight seconds at each point, in SI",
+        "but for the inputs N [rpm], wastegate [mm] and egr_valve [deg]. The fit is by least squares on what is at",
+        f"rest, each relative to its size: {', '.join(COMPARED)}.",
         "What it leaves, root mean square over the points [%]:",
         f"{quality}.",
         '"""',
         "",
+        "_NAMES = (",
+        *_wrapped(f'"{name}"' for name in points[0]),
+        ")  # fmt: skip",
+        "_VALUES = (",
+    ]
+    for one in points:
+        lines += ["    (", *_wrapped((f"{value:.8g}" for value in one.values()), 8), "    ),"]
+    lines += [
+        ")  # fmt: skip",
         "# The named point first.",
-        "STEADY: tuple[dict[str, float], ...] = (",
-        *("    {" + ", ".join(f'"{n}": {v:.8g}' for n, v in one.items()) + "}," for one in points),
-        ")",
+        "STEADY: tuple[dict[str, float], ...] = tuple(dict(zip(_NAMES, row, strict=True)) for row in _VALUES)",
         "FITTED: dict[str, float] = {",
         *(f'    "{name}": {value:.6g},' for name, value in fit.parameters.items()),
         "}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _wrapped(items: Iterable[str], indent: int = 4) -> list[str]:
+    margin = " " * indent
+    return textwrap.wrap(", ".join(items) + ",", 118, initial_indent=margin, subsequent_indent=margin)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ Set = tuple[str, ...]
 SETS: tuple[Set, ...] = tuple(members for size in range(5) for members in combinations(SENSORS, size))
 MODEL, PARAMETER_SET = "turbo_si_egr", "reference"
 # Where the paper makes its model linear, and what the reference shows there.
-POINT = ("N=3200 rpm", "throttle=60 deg", "wastegate=11.6 mm", "egr_valve=10 deg")
+INPUTS_AT = ("N=3200 rpm", "throttle=60 deg", "wastegate=11.6 mm", "egr_valve=10 deg")
 REFERENCE = STEADY[0]
 MEASURED = {"EGR_DP": "W_egr", "MAFa": "W_a", "MAFh": "W_cac", "MAF": "W_mix"}
 LAG = {"EGR_DP": "10 ms", "MAFa": "15 ms", "MAFh": "30 ms", "MAF": "15 ms"}
@@ -39,7 +39,29 @@ LASTING = "1 s"
 AFTER, SECONDS = "3.3 s", 30
 # Angle between two samples of the extended Kalman filters, and the time that it is at the named point [s].
 EKF_ANGLE, EKF_SAMPLE = "60 deg", 60.0 / 360.0 * 60.0 / 3200.0
+# Who runs beside: filters on the model where it rests itself, and extended Kalman filters.
+OWN_SETS: tuple[Set, ...] = ((), ("EGR_DP",), ("EGR_DP", "MAFa"))
 EKF_SETS: tuple[Set, ...] = (("EGR_DP",), ("EGR_DP", "MAFa"), SENSORS)
+
+
+def _quantity(value: float | None, unit: str, digits: int = 4) -> str:
+    if value is None:
+        raise RuntimeError("a noise was not estimated: the record lacks a state")
+    return f"{value:.{digits}g}" if unit == "1" else f"{value:.{digits}g} {unit}"
+
+
+def origin() -> dict[str, str]:
+    """What the reference shows at the named point under the names of the control model, with units."""
+    units = {signal.name: signal.unit for signal in (*turbo_si_egr.MODEL.states, *turbo_si_egr.MODEL.outputs)}
+    shown = REFERENCE | {sensor: REFERENCE[flow] for sensor, flow in MEASURED.items()}
+    return {name: _quantity(value, units[name], 8) for name, value in shown.items() if name in units}
+
+
+# The control model made linear where the reference rests, as the paper has it: its states are "directly obtained from
+# GT-Power simulation results".
+STATES_AT = {signal.name: origin()[signal.name] for signal in turbo_si_egr.MODEL.states if signal.name in origin()}
+POINT = (*INPUTS_AT, *(f"{name}={value}" for name, value in STATES_AT.items()))
+OPERATION = Operation(MODEL, POINT, PARAMETER_SET, about=[f"{name}={value}" for name, value in origin().items()])
 
 
 class Family(NamedTuple):
@@ -73,9 +95,7 @@ def estimated() -> Estimated:
         (outcome,) = result.outcomes.values()
         if outcome != "ok":
             raise RuntimeError(f"the reference engine ended as {outcome}")
-        operation = Operation(MODEL, POINT, PARAMETER_SET, settled=True)
-        about = [f"{name}={value}" for name, value in origin().items()]
-        wishes = NoiseWishes(run, operation, part="plant", after=AFTER, average="720 deg", about=about)
+        wishes = NoiseWishes(run, OPERATION, part="plant", after=AFTER, average="720 deg")
         found = estimate_noise(wishes)
     process = {
         family.by: {
@@ -85,25 +105,18 @@ def estimated() -> Estimated:
         for family in FAMILIES.values()
     }
     noise = {row["name"]: _quantity(row["noise"], row["unit"]) for row in found["sensors"]}
-    return Estimated(process, noise, {by: _expected(operation, noise, one) for by, one in process.items()})
+    return Estimated(process, noise, {by: _expected(noise, one) for by, one in process.items()})
 
 
-def _expected(operation: Operation, noise: Mapping[str, str], process: Mapping[str, str]) -> dict[Set, float]:
+def _expected(noise: Mapping[str, str], process: Mapping[str, str]) -> dict[Set, float]:
     wishes = Wishes(
         estimate=("F_im",), most=len(SENSORS), method="optimal", period=LASTING, process=process,
         noise=[f"{name}={value}" for name, value in noise.items()],
     )  # fmt: skip
-    told = select(operation, wishes, (), lambda what, done, total: None).to_json(None)
+    told = select(OPERATION, wishes, (), lambda what, done, total: None).to_json(None)
     by_set = {tuple(row["sensors"]): row["errors"]["F_im"] for row in told["sets"]}
     (size,) = (state["size"] for state in told["states"] if state["name"] == "F_im")
     return {members: by_set[members] if members else told["without_sensors"] * size for members in SETS}
-
-
-def origin() -> dict[str, str]:
-    """What the reference shows at the named point under the names of the control model, with units."""
-    units = {signal.name: signal.unit for signal in (*turbo_si_egr.MODEL.states, *turbo_si_egr.MODEL.outputs)}
-    shown = REFERENCE | {sensor: REFERENCE[flow] for sensor, flow in MEASURED.items()}
-    return {name: _quantity(value, units[name], 8) for name, value in shown.items() if name in units}
 
 
 def named(kind: str, members: Sequence[str]) -> str:
@@ -140,6 +153,9 @@ def campaign(found: Estimated) -> Iterator[str]:
     for kind, family in FAMILIES.items():
         for members in SETS:
             yield from _linear(kind, family, members, found)
+    yield "  # The same of the model made linear where it comes to rest itself."
+    for members in OWN_SETS:
+        yield from _linear("own", FAMILIES["kf"], members, found)
     yield "  # Extended Kalman filters, whose noise of a sample has the same intensity."
     for members in EKF_SETS:
         yield from _extended(members, found)
@@ -152,24 +168,26 @@ def campaign(found: Estimated) -> Iterator[str]:
 
 def _everyone() -> list[str]:
     linear = [named(kind, members) for kind in FAMILIES for members in SETS]
-    return ["model", *linear, *(named("ekf", members) for members in EKF_SETS)]
+    own = [named("own", members) for members in OWN_SETS]
+    return ["model", *linear, *own, *(named("ekf", members) for members in EKF_SETS)]
 
 
 def _linear(kind: str, family: Family, members: Set, found: Estimated) -> Iterator[str]:
     first = kind == next(iter(FAMILIES)) and not members
+    at = f"{{{', '.join(INPUTS_AT).replace('=', ': ')}}}" if kind == "own" else "&point " + AT if first else "*point"
     about = ", ".join(f"{name}: {value}" for name, value in origin().items())
     yield f"  {named(kind, members)}:"
     yield "    use: observers.linear_kalman"
     yield "    with:"
     yield f"      plant: {PLANT}"
     yield f"      parameter_set: {PARAMETER_SET}"
-    yield f"      at: {'&point ' + AT if first else '*point'}"
+    yield f"      at: {at}"
     yield f"      about: {'&about {' + about + '}' if first else '*about'}"
     yield f"      sensors: [{', '.join(members)}]"
     yield f"      noise: {{{', '.join(f'{name}: {found.noise[name]}' for name in members)}}}"
     anchor = family.by
     process = ", ".join(f"{name}: {value}" for name, value in found.process[family.by].items())
-    yield f"      process: {f'&{anchor} {{{process}}}' if not members else f'*{anchor}'}"
+    yield f"      process: {f'&{anchor} {{{process}}}' if kind in FAMILIES and not members else f'*{anchor}'}"
     yield f"      lasting: {LASTING}"
     yield "      outputs: [W_cyl]"
     yield f"    wires: {_wires(members)}"
@@ -241,6 +259,9 @@ def _report(found: Estimated) -> Iterator[str]:
         for members in SETS:
             part = named(kind, members)
             yield f"    {part}: {{title: '{titled(members)}, {family.title}', metrics: [rmse_{part}, max_{part}]}}"
+    for members in OWN_SETS:
+        part = named("own", members)
+        yield f"    {part}: {{title: '{titled(members)}, at rest', metrics: [rmse_{part}, max_{part}]}}"
     for members in EKF_SETS:
         part = named("ekf", members)
         yield f"    {part}: {{title: 'EKF, {titled(members)}', metrics: [rmse_{part}, max_{part}]}}"
@@ -379,19 +400,13 @@ def _selection(found: Estimated) -> Iterator[str]:
     yield f"    target: {MODEL}"
     yield f"    set: {PARAMETER_SET}"
     yield f"    at: [{', '.join(POINT)}]"
-    yield "    settle: true"
+    yield "    about: *about"
     yield "    estimate: [F_im]"
     yield f"    max_sensors: {len(SENSORS)}"
     yield "    method: h2"
     yield f"    noise: {{{', '.join(f'{name}: {value}' for name, value in found.noise.items())}}}"
     yield f"    period: {LASTING}"
     yield "    process: *published"
-
-
-def _quantity(value: float | None, unit: str, digits: int = 4) -> str:
-    if value is None:
-        raise RuntimeError("a noise was not estimated: the record lacks a state")
-    return f"{value:.{digits}g}" if unit == "1" else f"{value:.{digits}g} {unit}"
 
 
 PLANT = "fmus.plants.turbo_si_egr"
