@@ -201,6 +201,32 @@ def test_a_point_that_is_no_equilibrium_is_refused(crankbench, models):
     assert code == 2 and "the point is no equilibrium" in err and "--settle" in err
 
 
+def test_where_a_reference_rests_counts_as_rest(crankbench, models):
+    there = ("select", "chain_module", "--estimate", "c", "--sensors", "a,b,c", "--at", "u=1,a=2 bar")
+    code, _, err = crankbench(*there, "--method", "optimal", "--json")
+    assert code == 2 and "no equilibrium" in err
+    found = selected(crankbench, "--about", "a=3 bar,flow=7", "--method", "optimal", at=there)
+    assert found["point"]["a"] == 3e5 and found["imbalance"] == 0.0
+    # The chain is linear: its matrices are the same everywhere.
+    at_rest = ("select", "chain_module", "--estimate", "c", "--sensors", "a,b,c", "--settle")
+    wanted = selected(crankbench, "--method", "optimal", at=at_rest)
+    assert [row["error"] for row in found["sets"]] == [row["error"] for row in wanted["sets"]]
+    code, _, err = crankbench(*there, "--about", "flw=7,a=1 K", "--method", "optimal")
+    assert code == 2 and "--about flw=7" in err and "flow" in err and "--about a" in err
+
+
+def test_the_noise_of_a_file_is_overridden_state_by_state(crankbench, models, tmp_path: Path):
+    file = tmp_path / "noise.json"
+    file.write_text(json.dumps({"process": {"a": "1000 Pa", "b": "0.02", "c": "0.03", "idle": "0"}}))
+    found = selected(
+        crankbench, "--method", "optimal", "--process", str(file), "--disturbance", "b=0.5", "--measures", "none"
+    )
+    written = "a=1000 Pa,b=0.5,c=0.03,idle=0"
+    wanted = selected(crankbench, "--method", "optimal", "--disturbance", written)
+    assert [row["error"] for row in found["sets"]] == [row["error"] for row in wanted["sets"]]
+    assert found["disturbances"] == pytest.approx({"a": 1000.0, "b": 0.5, "c": 0.03, "idle": 0.0})
+
+
 def test_a_solver_that_fails_is_told_in_its_words_and_nothing_is_ranked(
     crankbench, models, monkeypatch: pytest.MonkeyPatch
 ):
