@@ -150,17 +150,17 @@ def _volumetric_efficiency(axis: Axes, points: int) -> None:
 
 
 def _residual_gas(axis: Axes, points: int) -> None:
-    pressures = np.linspace(0.3e5, 1.4e5, points)
     for N, colour in zip(SPEEDS, ("C0", "C1", "C2"), strict=True):
-        cycle = 120.0 / N
-        found = []
-        for pressure in pressures:
-            # From -180 deg on, 770 deg later it is 590 deg: the intake valve shuts.
-            y = _run(single_cylinder.MODEL, {"N": N, "p_in": pressure}, [(cycle, 6), (cycle * 50.0 / 720.0, 1)])
-            found.append(1e2 * y["F"][-1])
-        axis.plot(1e-5 * pressures, found, "o-", markersize=3.0, color=colour, label=f"{N:.0f} rpm")
-    axis.set(xlabel="intake pressure [bar]", ylabel="residual gas [%]", ylim=(0.0, None))
-    axis.set_title("one cylinder, 1.05 bar behind", fontsize=9.0)
+        cycle, pressure, residual = 120.0 / N, [], []
+        for angle in np.geomspace(6.0, 60.0, points):
+            values = {"N": N, "throttle": angle, "egr_valve": 0.0, "wastegate": 20.0}
+            # 600 deg after it fired the intake valves of cylinder 1 have shut.
+            y = _run(gas_exchange.MODEL, values, [(cycle, round(SECONDS / cycle)), (cycle * 600.0 / 720.0, 1)])
+            pressure.append(1e-5 * y["p_im"][-1])
+            residual.append(1e2 * y["F_cyl[1]"][-1])
+        axis.plot(pressure, residual, "o-", markersize=3.0, color=colour, label=f"{N:.0f} rpm")
+    axis.set(xlabel="p_im [bar]", ylabel="residual gas [%]", ylim=(0.0, None))
+    axis.set_title("throttle 6 to 60 deg, wastegate 20 mm, LP-EGR valve shut", fontsize=9.0)
     axis.legend()
 
 

@@ -58,7 +58,8 @@ def residual(values: dict[str, float]) -> float:
 def test_residual_gas_is_more_at_less_load_and_some_per_cent_at_full_load():
     throttles = (8.0, 15.0, 60.0)
     found = [residual({"N": 2400.0, "throttle": one, "egr_valve": 0.0, "wastegate": 20.0}) for one in throttles]
-    # Heywood Figure 6-19 and its text: about 20 % at low load to 3 to 7 % at full load.
+    # Heywood 6.4 and Figure 6-19: falls as the intake pressure rises; published values go from about 20 % at low load
+    # to 3 to 7 % at full load.
     assert found == sorted(found, reverse=True)
     assert 0.10 < found[0] < 0.30 and 0.01 < found[-1] < 0.08
 
@@ -76,7 +77,7 @@ def test_the_egr_ratio_grows_with_the_valve_from_one_and_a_half_to_eleven_per_ce
     found = [settled(egr_valve=angle) for angle in angles]
     ratios = [y["egr_ratio"] for y in found]
     assert ratios == sorted(ratios) and ratios[0] < 0.015 and ratios[-1] > 0.105
-    # At the same wastegate EGR takes fresh air's place: less work, colder exhaust (Heywood 9.4.3).
+    # At the same wastegate EGR takes fresh air's place and nothing makes up for it: less work, colder exhaust.
     for name in ("W_a", "IMEP", "T_em", "omega_tc"):
         values = [y[name] for y in found]
         assert values == sorted(values, reverse=True), name

@@ -93,10 +93,10 @@ def test_exported_models_keep_the_laws(name: str, fmi: int, kind: str):
 
 @pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_crank_resolved_engine_keeps_the_laws(fmi: int):
-    # In steps of half a cycle: within a millisecond much of it feels little of some inputs but rounding. And as
-    # Co-Simulation only: by a solver with error control what feels little differs by the solver's error.
+    # As Co-Simulation only: by a solver with error control, what hardly feels an input within a millisecond, like the
+    # burnt fraction of the EGR pipe the throttle, differs by the solver's error, and the law takes that for an effect.
     path = cached_fmu(gas_exchange.MODEL, fmi)
-    check_component(lambda: load_fmu(path), Course(0.02, 10))
+    check_component(lambda: load_fmu(path))
 
 
 @pytest.mark.parametrize("kind", ["cs", "me"])

@@ -16,7 +16,7 @@ PARAMETERS: tuple[Signal, ...] = (
     constant("D_c", "m", 51e-3, "compressor, outer diameter, a wheel of the K03 and IS20 class [I]"),
     constant("psi_0", "1", 0.58, "compressor, head over tip speed squared without flow, Dixon and Hall ch. 7 [I]"),
     constant(
-        "lambda_0", "1", 0.85, "compressor, work over tip speed squared without flow: slip, Dixon and Hall 7.5 [I]"
+        "lambda_0", "1", 0.85, "compressor, work over tip speed squared without flow: slip, Dixon and Hall ch. 7 [I]"
     ),
     constant("lambda_1", "1", 0.25, "compressor, fall of the work to choking: blades swept back [I]"),
     constant("phi_c", "1", 0.38, "compressor, flow coefficient at which it chokes at low speed [I]"),
