@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 
@@ -60,7 +61,11 @@ def take(name: str, scale: int) -> Taken:
 
 
 def take_apart(name: str, scale: int) -> Taken:
-    """One section in a fresh process: what was measured before, and left in memory, moves a loop by some per cent."""
+    """One section in a fresh process: what was measured before, and left in memory, moves a loop by some per cent.
+
+    NumPy and SciPy work with one thread there: processor time counts those that wait for each other, too.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(take, name, scale).result()
 
