@@ -36,6 +36,7 @@ from observers import (
     ekf,
     evasion,
     hybrid,
+    linear_kalman,
     luenberger,
     model_alone,
     open_loop,
@@ -68,6 +69,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "constant_gain": lambda: constant_gain.make(**SENSED, grid={"push": "[-1, 1] m/s2"}),
     "ekf": lambda: ekf.make(**SENSED, uncertainty=0.1),
     "ukf": lambda: ukf.make(**SENSED, uncertainty=0.1),
+    "linear_kalman": lambda: linear_kalman.make(SPRING, ["x", "gauge"], 0.1, 0.1),
     "evasion": lambda: evasion.make(PLANT, 2, 3, delay=0.2, threshold="0.1 rpm", bandwidth=300.0, entry_error=10.0),
     # Model Exchange wants a sample time in s.
     "diagnosis": lambda: diagnosis.make(mixing_time=0.03, lags=[0.025, 0.02], sample_time=1e-3),
