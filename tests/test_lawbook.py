@@ -16,7 +16,7 @@ from fmus.controllers import balancing
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model
-from fmus.plants import crank_engine, driveline, exhaust_afr, rod, turbo_si, turbo_si_speed
+from fmus.plants import crank_engine, driveline, exhaust_afr, injection_fault, rod, turbo_si, turbo_si_speed
 from harness.campaign import find_campaign, read_campaign
 from harness.scenario import ModelPart
 from harness.wiring import wire
@@ -44,6 +44,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "exhaust_afr": lambda: exhaust_afr.MODEL,
     "rod": lambda: rod.MODEL,
     "crank_engine": lambda: crank_engine.MODEL,
+    "injection_fault": lambda: injection_fault.MODEL,
     "hybrid": lambda: hybrid.make(
         **DEMANDS,
         threshold="0.005 rpm",
