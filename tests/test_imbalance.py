@@ -93,7 +93,7 @@ def test_on_either_clock_cylinder_3_is_named_by_its_exhaust_and_by_its_torque(na
     for record in native.values():
         assert names_cylinder_3(record)
     crank, time = native["crank"], native["time"]
-    # Samples every 4.5 deg instead of 6, which do not end a cycle where it ends: the trapezoidal rule is h^2/12 f'' off.
+    # Samples every 4.5 deg instead of 6, which end no cycle where it ends: the trapezoidal rule is h^2/12 f'' off.
     assert time["path_published.amount"][-1] == pytest.approx(crank["path_published.amount"][-1], abs=0.01)
     # V is read at the first sampling after the end of a stroke, up to 4.5 deg late.
     assert time["torque.amount"][-1] == pytest.approx(crank["torque.amount"][-1], abs=0.05)
@@ -112,12 +112,11 @@ def test_as_files_of_their_own_the_plants_give_the_same_bits(document, native, f
     assert names_cylinder_3(record) and set(tools(tmp_path)) >= set(PLANTS)
 
 
-@pytest.mark.parametrize("clock", CLOCKS)
-def test_each_plant_alone_may_be_a_file(document, native, clock, tmp_path: Path):
+def test_each_plant_alone_may_be_a_file(document, native, tmp_path: Path):
     for part, name in PLANTS.items():
         path = build_model(name, Export(tmp_path / f"{name}.fmu"))
-        record = swapped(document, clock, {part: str(path)}, tmp_path / part)
-        assert record.values.tobytes() == native[clock].values.tobytes()
+        record = swapped(document, "crank", {part: str(path)}, tmp_path / part)
+        assert record.values.tobytes() == native["crank"].values.tobytes()
 
 
 def test_twins_with_python_inside_give_the_same_rows_events_and_all(document, native, crankbench, tmp_path: Path):
@@ -130,8 +129,8 @@ def test_twins_with_python_inside_give_the_same_rows_events_and_all(document, na
     assert names_cylinder_3(record)
     for name in record.names:
         ours, twin = native["crank"][name], record[name]
-        # The same method, events and expressions; NumPy's and C's pow, exp and cos may differ in the last bit, and small
-        # harmonics are differences of large numbers: 2e-12 of a signal's size was seen.
+        # The same method, events and expressions; NumPy's and C's pow, exp and cos may differ in the last bit, and
+        # small harmonics are differences of large numbers: 2e-12 of a signal's size was seen.
         np.testing.assert_allclose(twin, ours, rtol=0, atol=1e-9 * np.abs(ours).max(), err_msg=name)
 
 
@@ -250,7 +249,7 @@ def test_every_cylinder_is_named_with_too_much_and_too_little_at_three_speeds(do
         for name in diagnoses:
             # Seven cycles after it began the verdict is right and stays.
             assert (record[f"{name}.verdict"][17 * SAMPLES + 1 :] == code[-1]).all(), (label, name)
-            # The amount has the sign, and is off by what one path for all speeds and AFR that does not mix linearly bring.
+            # The sign is right; one path for all speeds, and an AFR that does not mix linearly, cost a quarter of it.
             assert record[f"{name}.amount"][-1] == pytest.approx(0.25 * np.sign(code[-1]), abs=0.08), (label, name)
 
 
@@ -262,7 +261,7 @@ def test_balancing_wants_the_observer(document, experiment, means, tmp_path: Pat
     """The controller is switched on at 4 s; without an observer the same one drives the cylinders apart."""
     parts = parts_of(document, (*AFR[:8], "designed", "path_designed", *means), experiment)
     parts["switch"] = {"use": "source", "unit": "1", "table": {"time": ["0 s", "4 s"], "value": [0, 1]}}
-    given = {**document["experiments"][experiment]["set"], "clock.crank.stop": "12 s", "fault.amount": 0.0}
+    given = {**document["experiments"][experiment]["set"], "clock.crank.stop": "12 s", "fault.begin": "0 deg"}
     names = [f"engine.imep_{i}" for i in CYLINDERS]
     content = {
         "clock": document["clock"],
@@ -274,7 +273,7 @@ def test_balancing_wants_the_observer(document, experiment, means, tmp_path: Pat
     spread = np.ptp([record[name] for name in names], axis=0)
     off, on = record.time < 4.0, record.time > 10.0
     natural = spread[off][-SAMPLES:].max()
-    assert 0.5e5 < natural < 2e5  # Pa, as the bench's own injectors and ports make it
+    assert 1e5 < natural < 2e5  # Pa, of the bench's own injectors and ports, and 15 % in cylinder 2
     fuel = np.array([record[f"balancing.m_f_{i}"] for i in CYLINDERS])
     assert (np.ptp(fuel[:, off], axis=0) == 0.0).all()
     np.testing.assert_allclose(fuel.mean(axis=0), fuel[0, 0], rtol=1e-12)
