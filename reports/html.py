@@ -53,6 +53,8 @@ def render(run: Run) -> str:
     errors, confusions = pool(run)
     quantities = standing.quantities(run)
     comparable = [quantity for quantity in quantities if len(quantity.metrics) > 1]
+    foremost = [quantity for quantity in comparable if standing.foremost(run, quantity)]
+    others = [quantity for quantity in comparable if quantity not in foremost]
     solver, starts = provenance.applied_starts(run)
     plots = [interactive(figure, points_a_trace(drawn)) if figure.panels else None for figure in drawn]
     return page_of(
@@ -63,13 +65,14 @@ def render(run: Run) -> str:
         causes=Counter((case.outcome, case.message) for case in run.failed).most_common(),
         labels={case.key: case.label for case in run.cases},
         titles=titles,
-        leaderboards=[(quantity, standing.leaderboard(run, quantity)) for quantity in comparable],
+        leaderboards=[(quantity, standing.leaderboard(run, quantity)) for quantity in foremost],
+        other_leaderboards=[(quantity, standing.leaderboard(run, quantity)) for quantity in others],
         single=[
             (quantity, standing.leaderboard(run, quantity)[0]) for quantity in quantities if len(quantity.metrics) == 1
         ],
         reached=_reached,
         ratio=_ratio,
-        heat_maps=[(quantity, Markup(_heat_map(run, quantity, f"heat{n}"))) for n, quantity in enumerate(comparable)]
+        heat_maps=[(quantity, Markup(_heat_map(run, quantity, f"heat{n}"))) for n, quantity in enumerate(foremost)]
         if len(standing.scenarios(run)) > 1
         else [],
         curves=[

@@ -132,6 +132,16 @@ def observer_of(run: Run, metric: str) -> str:
     return definition.part if definition and definition.part in observers(run) else ""
 
 
+def foremost(run: Run, quantity: Quantity) -> bool:
+    """Whether the report section lists one of its metrics as an observer's own; true of all where it lists none.
+
+    `found` lists all values of that metric, `found.delay_median` that one.
+    """
+    declared = ((run.campaign.get("report") or {}).get("observers") or {}).values()
+    listed = {metric for entry in declared for metric in (entry or {}).get("metrics") or ()}
+    return not listed or any({metric, metric.partition(".")[0]} & listed for metric in quantity.metrics.values())
+
+
 def unit_of(run: Run, metric: str) -> str:
     """The unit the metric's values are in; samples named `located.delay` are in that of `located.delay_median`."""
     units = (

@@ -182,6 +182,9 @@ def _panel(
 ) -> Panel:
     truths = {truth for definition in definitions(run).values() for truth, _ in definition.pairs}
     colours = part_colours(run)
+    # Signals of one observer among themselves, such as those of its cylinders, are told apart by colour.
+    if len({name.partition(".")[0] for name in names}) == 1 and len(names) > 1:
+        colours = {}
     spare = [colour for colour in COLOURS if colour not in colours.values()] or list(COLOURS)
     traces: list[Trace] = []
     drawn: dict[str, int] = {}
