@@ -337,19 +337,33 @@ def test_gains_that_do_not_converge_are_refused_with_the_speed_and_the_multiplie
     assert said.count("or give `allow_unstable: true` to see it") == 3
 
 
-def test_gains_that_do_not_converge_run_where_that_is_allowed_and_are_seen_to_diverge(document, tmp_path: Path):
+def test_gains_that_do_not_converge_run_where_that_is_allowed_and_grow_as_their_multiplier_says(document, tmp_path):
     def change(content):
-        unstable(content)
-        for name in ("inversion", "published"):
-            content["parts"][name]["with"]["allow_unstable"] = True
-        content["clock"]["crank"]["stop"] = "8 rev"
+        parts = content["parts"]
+        parts["inversion"]["with"] |= {"allow_unstable": True, "gains": {"published": {"per": "rad", "sign": "minus"}}}
+        content["clock"]["crank"]["stop"] = "80 rev"
+        content["record"] = ["inversion.innovation", "inversion.multiplier"]
 
-    campaign = read_campaign(short(document, tmp_path, change))
-    result = execute(campaign, tmp_path / "run", 1, lambda ended: None)
+    assert execute(read_campaign(short(document, tmp_path, change)), tmp_path / "run", 1, lambda ended: None).accepted
+    (path,) = (tmp_path / "run").glob("cases/*/signals.parquet")
+    record = read_signals(path)
+    wrong = largest_a_cycle(record["inversion.innovation"])
+    # Four periods of 180 deg a cycle; the multiplier is that of the worst speed, 1138 rpm, and this is 1500 rpm.
+    multiplier = record["inversion.multiplier"][-1]
+    assert multiplier > 1.05
+    np.testing.assert_allclose(wrong[30:] / wrong[29:-1], multiplier**4, rtol=0.02)
+
+
+def test_an_observer_that_leaves_all_numbers_ends_the_case_as_diverged(document, tmp_path: Path):
+    def change(content):
+        gains = {"full": {"decay": 120, "weight": 4, "per": "sample"}}
+        content["parts"]["published"]["with"] |= {"allow_unstable": True, "gains": gains}
+        content["clock"]["crank"]["stop"] = "80 rev"
+
+    result = execute(read_campaign(short(document, tmp_path, change)), tmp_path / "run", 1, lambda ended: None)
+    assert set(result.outcomes.values()) == {"diverged"}
     (case,) = (tmp_path / "run" / "cases").iterdir()
-    told, record = json.loads((case / "case.json").read_text()), read_signals(case / "signals.parquet")
-    print(result.outcomes, told.get("part"), told.get("message"), len(record.time))
-    assert set(result.outcomes.values()) == {"ok"}
+    assert json.loads((case / "case.json").read_text())["part"] == "published"
 
 
 def test_a_speed_below_the_slowest_of_the_clock_ends_the_case_and_is_named(document, tmp_path: Path):
@@ -361,8 +375,9 @@ def test_a_speed_below_the_slowest_of_the_clock_ends_the_case_and_is_named(docum
     assert set(result.outcomes.values()) == {"error"}
     (case,) = (tmp_path / "run" / "cases").iterdir()
     told = json.loads((case / "case.json").read_text())
-    print(told)
-    assert "1200 rpm" in told["message"]
+    wanted = "at least 125.664 rad/s, its `slowest` of 1200 rpm"
+    assert told["part"] == "engine" and told["message"].startswith("engine.omega_e is 115.192 rad/s")
+    assert told["message"].endswith(wanted)
 
 
 # The whole
