@@ -21,12 +21,13 @@ from reports.html import write_report
 FILE = find_campaign("imbalance")
 PLANTS = {"engine": "crank_engine", "exhaust": "exhaust_afr", "rod": "rod"}
 # From the fuel to the verdict by the air-fuel ratio, and by the torque.
-AFR = ("speed", "fuel", "crank", "fault", "engine", "exhaust", "uego", "tacho", "published", "path_published")
+AFR = ("speed", "fuel", "crank", "fault", "engine", "exhaust", "uego", "tacho", "designed", "path_designed")
 SAMPLES = 120  # a cycle
 CLOCKS = {
-    "crank": {"crank": {"step": "6 deg", "stop": "8 rev", "speed": "engine.omega_e", "angle": "engine.theta"}},
-    "time": {"time": {"step": "0.5 ms", "stop": "320 ms"}},
+    "crank": {"crank": {"step": "6 deg", "stop": "11 rev", "speed": "engine.omega_e", "angle": "engine.theta"}},
+    "time": {"time": {"step": "0.5 ms", "stop": "460 ms"}},
 }
+LONGER = {"crank": "40 rev", "time": "1.7 s"}
 CRANKS = {
     "crank": {"use": "crank"},
     "time": {"use": "crank", "of": "engine.theta", "firing_order": [1, 3, 4, 2]},
@@ -60,8 +61,10 @@ def run(content: dict[str, Any], folder: Path, jobs: int = 1) -> dict[str, Recor
 # Swapping plants
 
 
-def swapped(document: dict[str, Any], clock: str, uses: dict[str, str], folder: Path) -> Record:
-    """Cylinder 3 with a quarter more fuel at 1500 rpm, four cycles, plants taken from `uses` where named there."""
+def swapped(document: dict[str, Any], clock: str, uses: dict[str, str], folder: Path, stop: str = "") -> Record:
+    """Cylinder 3 with a quarter more fuel at 1500 rpm, five cycles, plants taken from `uses` where named there."""
+    clocks = copy.deepcopy(CLOCKS[clock])
+    clocks[clock]["stop"] = stop or clocks[clock]["stop"]
     parts = parts_of(document, AFR, "rod")
     parts["crank"] = CRANKS[clock]
     parts["fault"]["with"] = {"begin": "0 deg", "cylinder": 3, "amount": 0.25}
@@ -69,7 +72,7 @@ def swapped(document: dict[str, Any], clock: str, uses: dict[str, str], folder: 
     parts["engine"]["with"]["solver.step"] = "0.2 ms"
     for name, use in uses.items():
         parts[name]["use"] = use
-    (record,) = run({"clock": CLOCKS[clock], "seed": 1, "parts": parts}, folder).values()
+    (record,) = run({"clock": clocks, "seed": 1, "parts": parts}, folder).values()
     return record
 
 
@@ -86,15 +89,18 @@ def native(document, tmp_path_factory) -> dict[str, Record]:
 
 
 def names_cylinder_3(record: Record) -> bool:
-    return record["path_published.verdict"][-1] == record["torque.verdict"][-1] == 3.0
+    return record["path_designed.verdict"][-1] == record["torque.verdict"][-1] == 3.0
 
 
 def test_on_either_clock_cylinder_3_is_named_by_its_exhaust_and_by_its_torque(native):
     for record in native.values():
         assert names_cylinder_3(record)
-    crank, time = native["crank"], native["time"]
+
+
+def test_what_the_diagnoses_come_to_does_not_depend_on_the_clock(document, tmp_path: Path):
+    crank, time = (swapped(document, clock, {}, tmp_path / clock, stop) for clock, stop in LONGER.items())
     # Samples every 4.5 deg instead of 6, which end no cycle where it ends: the trapezoidal rule is h^2/12 f'' off.
-    assert time["path_published.amount"][-1] == pytest.approx(crank["path_published.amount"][-1], abs=0.01)
+    assert time["path_designed.amount"][-1] == pytest.approx(crank["path_designed.amount"][-1], abs=0.01)
     # V is read at the first sampling after the end of a stroke, up to 4.5 deg late.
     assert time["torque.amount"][-1] == pytest.approx(crank["torque.amount"][-1], abs=0.05)
     # It is the same engine: what it gives a cycle does not depend on when it is looked at, but for what RK4 misses.
@@ -166,7 +172,7 @@ APART = 4.0  # of the AFR that twins of an observer begin with
 @pytest.fixture(scope="module")
 def rebuilt(document, tmp_path_factory) -> dict[str, Record]:
     """One cylinder off without noise, each observer twice from different starts, the crank as it is and a heavy one."""
-    parts = parts_of(document, (*AFR, "designed"))
+    parts = parts_of(document, (*AFR, "published"))
     for name in ("published", "designed"):
         parts[f"{name}_twin"] = copy.deepcopy(parts[name])
         parts[f"{name}_twin"]["with"]["start"] = parts[name]["with"]["start"] - APART
@@ -227,8 +233,8 @@ def test_the_harmonics_of_w_are_those_of_the_truth(rebuilt, observer):
 
 
 def test_every_cylinder_is_named_with_too_much_and_too_little_at_three_speeds(document, tmp_path: Path):
-    diagnoses = ("path_published", "path_designed")
-    parts = parts_of(document, (*AFR, "designed", "path_designed"))
+    diagnoses = ("path_designed", "path_squares", "path_sensor")
+    parts = parts_of(document, (*AFR, "squares", *diagnoses))
     parts["fault"]["with"] = {"begin": "7200 deg"}
     content = {
         "clock": {"crank": {**document["clock"]["crank"], "stop": "48 rev"}},
@@ -247,8 +253,8 @@ def test_every_cylinder_is_named_with_too_much_and_too_little_at_three_speeds(do
         code = record["fault.code"]
         assert (code[: 10 * SAMPLES] == 0.0).all() and (code[10 * SAMPLES + 2 :] != 0.0).all()
         for name in diagnoses:
-            # Seven cycles after it began the verdict is right and stays.
-            assert (record[f"{name}.verdict"][17 * SAMPLES + 1 :] == code[-1]).all(), (label, name)
+            # Ten cycles after it began the verdict is right, least squares being the slowest to see it, and stays.
+            assert (record[f"{name}.verdict"][20 * SAMPLES + 1 :] == code[-1]).all(), (label, name)
             # The sign is right; one path for all speeds, and an AFR that does not mix linearly, cost a quarter of it.
             assert record[f"{name}.amount"][-1] == pytest.approx(0.25 * np.sign(code[-1]), abs=0.08), (label, name)
 
@@ -258,8 +264,8 @@ def test_every_cylinder_is_named_with_too_much_and_too_little_at_three_speeds(do
 
 @pytest.mark.parametrize(("experiment", "means"), [("balancing", ()), ("balancing_sensor", ("means_sensor",))])
 def test_balancing_wants_the_observer(document, experiment, means, tmp_path: Path):
-    """The controller is switched on at 4 s; without an observer the same one drives the cylinders apart."""
-    parts = parts_of(document, (*AFR[:8], "designed", "path_designed", *means), experiment)
+    """The controller is switched on at 4 s; without an observer the same one leaves the cylinders as far apart."""
+    parts = parts_of(document, (*AFR, *means), experiment)
     parts["switch"] = {"use": "source", "unit": "1", "table": {"time": ["0 s", "4 s"], "value": [0, 1]}}
     given = {**document["experiments"][experiment]["set"], "clock.crank.stop": "12 s", "fault.begin": "0 deg"}
     names = [f"engine.imep_{i}" for i in CYLINDERS]
@@ -281,7 +287,7 @@ def test_balancing_wants_the_observer(document, experiment, means, tmp_path: Pat
         # Equal AFR is not equal IMEP where ports differ in their air: what is left of 1.16 bar is 0.22 bar.
         assert spread[on].max() < 0.3 * natural
     else:
-        assert spread[on].min() > natural
+        assert spread[on].min() > 0.9 * natural
 
 
 # What is refused
@@ -299,15 +305,13 @@ def short(document: dict[str, Any], folder: Path, change) -> Path:
 
 def test_harmonics_that_the_samples_cannot_tell_are_refused_all_at_once(document, crankbench, tmp_path: Path):
     def change(content):
-        content["parts"]["published"]["with"]["harmonics"] = 60
+        content["parts"]["designed"]["with"]["harmonics"] = 60
         content["parts"]["inversion"]["with"]["harmonics"] = 15
         content["parts"]["torque"]["with"]["persistence"] = 0
 
     code, _, said = crankbench("run", short(document, tmp_path, change), "--out", tmp_path / "run")
     assert code == 2
-    assert (
-        "published: harmonics wants 59 or fewer: 60 harmonics want 121 samples in a period, and there are 120" in said
-    )
+    assert "designed: harmonics wants 59 or fewer: 60 harmonics want 121 samples in a period, and there are 120" in said
     assert "inversion: harmonics wants 14 or fewer: 15 harmonics want 31 samples in a period, and there are 30" in said
     assert "torque: persistence wants" in said
     assert said.count("(aliasing)") == 2 and "short.yaml:" in said and not (tmp_path / "run").exists()
@@ -315,17 +319,17 @@ def test_harmonics_that_the_samples_cannot_tell_are_refused_all_at_once(document
 
 def test_a_period_that_is_no_whole_number_of_steps_is_refused(document, crankbench, tmp_path: Path):
     def change(content):
-        content["parts"]["published"]["with"]["period"] = "700 deg"
+        content["parts"]["designed"]["with"]["period"] = "700 deg"
 
     code, _, said = crankbench("run", short(document, tmp_path, change), "--out", tmp_path / "run")
     assert code == 2
-    assert "published: period wants a whole number of steps, got 700 deg in steps of 6 deg, 116.667 of them" in said
+    assert "designed: period wants a whole number of steps, got 700 deg in steps of 6 deg, 116.667 of them" in said
 
 
 def unstable(content: dict[str, Any]) -> None:
     """The printed minus sign of the paper's Eq. 9, and a decay of the paper's kind fifteen times as fast."""
     content["parts"]["inversion"]["with"]["gains"] = {"published": {"per": "rad", "sign": "minus"}}
-    content["parts"]["published"]["with"]["gains"] = {"full": {"decay": 60, "weight": 4, "per": "sample"}}
+    content["parts"]["designed"]["with"]["gains"] = {"full": {"decay": 60, "weight": 4, "per": "sample"}}
 
 
 def test_gains_that_do_not_converge_are_refused_with_the_speed_and_the_multiplier(document, crankbench, tmp_path):
@@ -333,7 +337,7 @@ def test_gains_that_do_not_converge_are_refused_with_the_speed_and_the_multiplie
     assert code == 2
     assert "inversion: rod_inversion: the gains do not converge: at " in said
     assert "rpm the largest Floquet multiplier over a period is 1.05" in said
-    assert "published: lag_inversion: lag 2: the gains do not converge" in said and "lag 1: the gains do not" in said
+    assert "designed: lag_inversion: lag 2: the gains do not converge" in said and "lag 1: the gains do not" in said
     assert said.count("or give `allow_unstable: true` to see it") == 3
 
 
@@ -357,13 +361,13 @@ def test_gains_that_do_not_converge_run_where_that_is_allowed_and_grow_as_their_
 def test_an_observer_that_leaves_all_numbers_ends_the_case_as_diverged(document, tmp_path: Path):
     def change(content):
         gains = {"full": {"decay": 120, "weight": 4, "per": "sample"}}
-        content["parts"]["published"]["with"] |= {"allow_unstable": True, "gains": gains}
+        content["parts"]["designed"]["with"] |= {"allow_unstable": True, "gains": gains}
         content["clock"]["crank"]["stop"] = "80 rev"
 
     result = execute(read_campaign(short(document, tmp_path, change)), tmp_path / "run", 1, lambda ended: None)
     assert set(result.outcomes.values()) == {"diverged"}
     (case,) = (tmp_path / "run" / "cases").iterdir()
-    assert json.loads((case / "case.json").read_text())["part"] == "published"
+    assert json.loads((case / "case.json").read_text())["part"] == "designed"
 
 
 def test_a_speed_below_the_slowest_of_the_clock_ends_the_case_and_is_named(document, tmp_path: Path):
