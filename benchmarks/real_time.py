@@ -52,8 +52,8 @@ def beside_the_engine(speeds: Sequence[int] = SPEEDS, cycles: int = CYCLES, roun
             for _ in range(rounds):
                 started = StartedSystem(system)
                 times.append(seconds_a_step(started, rows))
-                shares = _shares(started.wall(len(rows)))
             _check(speed, rows, names)
+            shares = _shares(started.wall(len(rows)))
         engine = math.radians(DEGREES) / _rad_per_s(speed)
         measures.append(Measure(f"imbalance at {speed} rpm, a step of 6 deg", min(times), engine, ENGINE, WANTED))
     return RealTime(tuple(speeds), measures, shares)

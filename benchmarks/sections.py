@@ -15,11 +15,12 @@ from benchmarks.long_run import LongRun, long_run, measures_memory
 from benchmarks.loop import beside_fmpy
 from benchmarks.measure import Measure
 from benchmarks.periodic import Costs, beside_numpy
+from benchmarks.real_time import RealTime, beside_the_engine
 from benchmarks.selection import beside_dense_svd, on_networks
 from benchmarks.setup_time import beside_simulate_fmu
 from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
 
-Taken = list[Measure] | Comparison | Costs | Growth | LongRun
+Taken = list[Measure] | Comparison | Costs | Growth | LongRun | RealTime
 
 
 def sections(scale: int) -> dict[str, Callable[[], Taken]]:
@@ -43,6 +44,7 @@ def sections(scale: int) -> dict[str, Callable[[], Taken]]:
         "steps": lambda: with_steps(growth.STEPS if scale == 1 else growth.STEPS[:-1], rounds(3)),
         "selection": lambda: [*beside_dense_svd(rounds(10)), *on_networks()],
         "periodic": lambda: beside_numpy(rounds(20)),
+        "imbalance": lambda: beside_the_engine(rounds=rounds(10)),
     }
     if measures_memory():
         known["long-run"] = lambda: long_run(LONG // scale)
@@ -62,6 +64,6 @@ def take_apart(name: str, scale: int) -> Taken:
 
 def measures_of(taken: Taken) -> list[Measure]:
     """The measures in what a section gave."""
-    if isinstance(taken, (Comparison, Costs)):
+    if isinstance(taken, (Comparison, Costs, RealTime)):
         return taken.measures
     return taken if isinstance(taken, list) else [taken.measure()]
