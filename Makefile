@@ -5,6 +5,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SHORT := not slow and not campaign
+# Matrices here are small: threads would wait for each other. As harness/__main__.py has it.
+export OPENBLAS_NUM_THREADS ?= 1
+export OMP_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
 
 # Without a C compiler that answers, the one that comes as a Python package is installed too.
 ZIG := $(shell \

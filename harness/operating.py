@@ -32,11 +32,6 @@ from selection.structure import Structure, branch_structure, observed_structure
 _BETWEEN = re.compile(r",(?=\s*[\w.]+(?:\[[^\]]*\])?\s*=)")
 
 
-@dataclass(frozen=True)
-class Place_:
-    """x"""
-
-
 class Operation(NamedTuple):
     """What a user asks: a model's name or an FMU's file, the point as `name=value`, and whether to settle from there.
 

@@ -229,3 +229,20 @@ def test_a_model_that_cannot_be_traced_is_built_with_python_inside_on_request(cr
     code, printed, _ = crankbench("build", "tests.test_python_export:PENDULUM", "--python", "--out", out)
     assert (code, printed.strip()) == (0, str(out))
     assert json.loads(crankbench("inspect", out, "--json")[1])["capabilities"]["needsExecutionTool"] is True
+
+
+def test_threads_of_linear_algebra_are_one_before_numpy_counts_them_unless_they_are_asked_for():
+    text = (
+        "import os, sys, harness.__main__ as entry\n"
+        "assert 'numpy' not in sys.modules\n"
+        "sys.argv = ['crankbench', '--help']\n"
+        "try:\n    entry.main()\n"
+        "except SystemExit:\n    pass\n"
+        "print([os.environ[name] for name in entry.THREADS])\n"
+    )
+    clear = {key: value for key, value in os.environ.items() if not key.endswith("NUM_THREADS")}
+    for asked, expected in (({}, "['1', '1', '1']"), ({"OPENBLAS_NUM_THREADS": "2"}, "['1', '2', '1']")):
+        ended = subprocess.run(
+            [sys.executable, "-c", text], env={**clear, **asked}, capture_output=True, text=True, check=True
+        )
+        assert ended.stdout.splitlines()[-1] == expected
