@@ -20,6 +20,7 @@ from benchmarks.measure import Measure
 from benchmarks.optimal import SearchGrowth, draw_growth
 from benchmarks.page import write_page
 from benchmarks.periodic import Costs
+from benchmarks.real_time import RealTime
 from benchmarks.sections import Taken, measures_of, sections, take_apart
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -87,7 +88,8 @@ def main(
         growths = [one for one in taken.values() if isinstance(one, Growth)]
         long = next((one for one in taken.values() if isinstance(one, LongRun)), None)
         costs = next((one for one in taken.values() if isinstance(one, Costs)), None)
-        write_page(PAGE, comparisons, growths, long, costs)
+        kept = next((one for one in taken.values() if isinstance(one, RealTime)), None)
+        write_page(PAGE, comparisons, growths, long, costs, kept)
         print(f"written: {PAGE}")
         for grown in (one for one in taken.values() if isinstance(one, SearchGrowth)):
             draw_growth(grown, SEARCHES)

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from harness.run import StartedSystem
 from harness.scenario import Scenario
@@ -36,14 +37,7 @@ class OurLoop:
 
     def __call__(self) -> float:
         """From the first instant to the last, parts started and rows allocated before."""
-        steps = len(self.rows)
-        started = StartedSystem(self.system)
-        begin = time.process_time()
-        reached = started.advance(0, steps, self.rows)
-        elapsed = time.process_time() - begin
-        if reached != steps:
-            raise RuntimeError(f"the loop ended at instant {reached}: {started.failure}")
-        return elapsed / steps
+        return seconds_a_step(StartedSystem(self.system), self.rows)
 
     def natives(self, names: Sequence[str]) -> Any:
         """The step functions of these parts, started anew, as an array for bare.c."""
@@ -56,3 +50,16 @@ class OurLoop:
 
     def __exit__(self, *_: object) -> None:
         self.system.close()
+
+
+def seconds_a_step(started: StartedSystem, rows: NDArray[np.float64]) -> float:
+    """The seconds of processor time that a step took, of as many from the start as there are rows, which are filled.
+
+    Raises RuntimeError: the loop ended before.
+    """
+    begin = time.process_time()
+    reached = started.advance(0, len(rows), rows)
+    elapsed = time.process_time() - begin
+    if reached != len(rows):
+        raise RuntimeError(f"the loop ended at instant {reached}: {started.failure}")
+    return elapsed / len(rows)

@@ -18,6 +18,7 @@ from benchmarks.comparison import BARE, FMPY_CALLS, PEERS, SIMULATE_FMU, Compari
 from benchmarks.growth import Growth, line
 from benchmarks.long_run import LIMIT, LongRun
 from benchmarks.periodic import HARMONICS, STAGES, STATES, Costs
+from benchmarks.real_time import RealTime
 from fmus.toolchain import find_compiler
 
 OURS = "crankbench, everything recorded"
@@ -50,6 +51,7 @@ def write_page(
     growths: Sequence[Growth],
     long: LongRun | None,
     costs: Costs | None = None,
+    kept: RealTime | None = None,
 ) -> None:
     """Replace the sections of the page that were measured, and the drawings in the folder of its name."""
     text = page.read_text(encoding="utf-8")
@@ -62,6 +64,8 @@ def write_page(
         text = replace_section(text, name, content)
     if costs is not None:
         text = replace_section(text, "periodic", "\n".join(periodic(costs)))
+    if kept is not None:
+        text = replace_section(text, "imbalance", "\n".join(real_time(kept)))
     folder = page.with_suffix("")
     folder.mkdir(exist_ok=True)
     for growth in growths:
@@ -151,6 +155,18 @@ def periodic(costs: Costs) -> Iterator[str]:
     ]
     ranges = [f"{min(counts)} to {max(counts)}" for counts in (HARMONICS, STATES, STAGES)]
     yield f"Operations grow by {told[0]} from {ranges[0]}, {told[1]} from {ranges[1]}, {told[2]} from {ranges[2]}."
+
+
+def real_time(kept: RealTime) -> Iterator[str]:
+    """A whole case of the campaign imbalance: its time for a step beside the engine's, over the speed."""
+    yield "| speed | a step here | a step of the engine | times as fast |"
+    yield "|---|---|---|---|"
+    for speed, one in zip(kept.speeds, kept.measures, strict=True):
+        times = f"{_three(one.ours * 1e6)} us | {_three(one.peer * 1e6)} us | {1.0 / one.ratio:.1f}"
+        yield f"| {speed:,} rpm | {times} |"
+    yield ""
+    shares = ", ".join(f"{name} {100.0 * share:.0f} %" for name, share in kept.shares.items())
+    yield f"At {kept.speeds[-1]:,} rpm the parts share their time so: {shares}."
 
 
 def _long_run(long: LongRun | None) -> str:

@@ -17,12 +17,13 @@ from benchmarks.loop import beside_fmpy
 from benchmarks.measure import Measure
 from benchmarks.optimal import SearchGrowth, beside_every_set, growing
 from benchmarks.periodic import Costs, beside_numpy
+from benchmarks.real_time import RealTime, beside_the_engine
 from benchmarks.selection import beside_dense_svd, on_networks
 from benchmarks.setup_time import beside_simulate_fmu
 from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
 from benchmarks.working_cycle import cylinder_beside_cantera, engine_beside_itself
 
-Taken = list[Measure] | Comparison | Costs | Growth | SearchGrowth | LongRun
+Taken = list[Measure] | Comparison | Costs | Growth | SearchGrowth | LongRun | RealTime
 
 
 def sections(scale: int) -> dict[str, Callable[[], Taken]]:
@@ -49,6 +50,7 @@ def sections(scale: int) -> dict[str, Callable[[], Taken]]:
         "best-sets-growth": growing,
         "selection": lambda: [*beside_dense_svd(rounds(10)), *on_networks()],
         "periodic": lambda: beside_numpy(rounds(20)),
+        "imbalance": lambda: beside_the_engine(rounds=rounds(10)),
     }
     if measures_memory():
         known["long-run"] = lambda: long_run(LONG // scale)
@@ -72,7 +74,7 @@ def take_apart(name: str, scale: int) -> Taken:
 
 def measures_of(taken: Taken) -> list[Measure]:
     """The measures in what a section gave."""
-    if isinstance(taken, (Comparison, Costs)):
+    if isinstance(taken, (Comparison, Costs, RealTime)):
         return taken.measures
     if isinstance(taken, SearchGrowth):
         return taken.measures()

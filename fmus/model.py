@@ -36,15 +36,18 @@ class Values:
         self._values: dict[str, Any] = {}
         offset = 0
         for signal in signals:
+            if not signal.shape:
+                self._values[signal.name] = flat[offset]
+                offset += 1
+                continue
             scalars = flat[offset : offset + signal.size]
             offset += signal.size
             self._values.update(zip(signal.scalar_names(), scalars, strict=True))
-            if signal.shape:
-                array = np.empty(signal.size, dtype=object)
-                array[:] = scalars
-                if all(isinstance(value, float) for value in scalars):
-                    array = array.astype(float)
-                self._values[signal.name] = array.reshape(signal.shape)
+            array = np.empty(signal.size, dtype=object)
+            array[:] = scalars
+            if all(isinstance(value, float) for value in scalars):
+                array = array.astype(float)
+            self._values[signal.name] = array.reshape(signal.shape)
 
     def __getitem__(self, name: str) -> Any:
         try:

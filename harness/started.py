@@ -184,7 +184,8 @@ class StartedSystem:
         place = system.speed if status == STALLED or system.angle is None else system.angle
         value, name = self.bus[place], system.bus[place].name
         if status == STALLED:
-            message = f"{name} is {value:.6g} rad/s: the crank clock wants at least {grid.slowest:.6g} rad/s"
+            slowest = f"{grid.slowest:.6g} rad/s, its `slowest` of {parse_unit('rpm').from_si(grid.slowest):.6g} rpm"
+            message = f"{name} is {value:.6g} rad/s: the crank clock wants at least {slowest}"
         else:
             nominal = float(grid.angles(np.array([k - 1]))[0])
             missed = math.remainder(math.degrees(value) - nominal, 360.0)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import comparison, growth, periodic
+from benchmarks import comparison, growth, periodic, real_time
 from benchmarks.__main__ import PAGE, SEARCHES, write_results
 from benchmarks.comparison import BARE, FMPY_CALLS, PEERS, SIMULATE_FMU, Comparison, beside_all, check_peer
 from benchmarks.growth import Growth, line
@@ -25,6 +25,7 @@ from benchmarks.orders import jacobi
 from benchmarks.page import replace_section, write_page
 from benchmarks.peer_process import PeerProcess, Unavailable, task_of
 from benchmarks.periodic import Costs
+from benchmarks.real_time import RealTime, beside_the_engine
 from benchmarks.serving import Recorded, Stopwatch
 from benchmarks.setups import Setup, feedthroughs, oscillator, plant_and_observer
 
@@ -250,6 +251,38 @@ def test_an_observer_in_numpy_tells_what_its_fmu_tells(monkeypatch: pytest.Monke
     assert all(two > one for one, two in found.operations)
     with pytest.raises(RuntimeError, match=r"h = 1: the w of Eq\. 4 in NumPy is .* of its size away from ours"):
         periodic._check("h = 1", np.array([1.0, 2.0]), [1.0, 2.001])
+
+
+def test_a_case_that_keeps_the_engines_time_is_measured_over_the_speed():
+    found = beside_the_engine((1500, 6000), cycles=40, rounds=1)
+    assert found.speeds == (1500, 6000) and all(one.ours > 0.0 for one in found.measures)
+    # 6 deg are a sixtieth of a turn, of 40 ms and of 10 ms.
+    assert [one.peer for one in found.measures] == pytest.approx([40e-3 / 60.0, 10e-3 / 60.0])
+    assert sum(found.shares.values()) == pytest.approx(1.0) and found.shares["engine"] > 0.3
+
+
+def test_a_case_out_of_time_or_with_an_observer_that_is_not_right_is_refused():
+    names = ["exhaust.afr_turbine", "designed.w", "uego.value"]
+    turn = np.sin(np.arange(241.0))
+    # Two cycles at 6000 rpm take 40 ms; the sensor shows half of the swing.
+    rows = np.column_stack([np.linspace(0.0, 40e-3, 241), turn, 0.95 * turn, 0.5 * turn])
+    real_time._check(6000, rows, names)
+    rows[:, 2] = 0.8 * turn
+    with pytest.raises(RuntimeError, match="at 6000 rpm w wants to be five times as near to the truth as the sensor"):
+        real_time._check(6000, rows, names)
+    rows[:, 0] *= 1.1
+    with pytest.raises(RuntimeError, match=r"240 steps at 6000 rpm want 0\.04 s of the engine, got 0\.044 s"):
+        real_time._check(6000, rows, names)
+
+
+def test_how_real_time_is_kept_is_written_where_it_was_measured(tmp_path: Path):
+    page = tmp_path / "speed.md"
+    page.write_text(PAGE.read_text(encoding="utf-8"), encoding="utf-8")
+    kept = RealTime((6000,), [Measure("imbalance", 2e-5, 1e-3 / 6.0, "the engine", 1.0)], {"engine": 0.7, "rest": 0.3})
+    write_page(page, [], [], None, None, kept)
+    text = page.read_text(encoding="utf-8")
+    assert "| 6,000 rpm | 20.0 us | 167 us | 8.3 |" in text
+    assert "At 6,000 rpm the parts share their time so: engine 70 %, rest 30 %." in text
 
 
 def test_a_page_without_marks_is_refused():

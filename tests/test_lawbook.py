@@ -21,6 +21,7 @@ from fmus.plants import (
     driveline,
     exhaust_afr,
     gas_exchange,
+    injection_fault,
     rod,
     single_cylinder,
     turbo_si,
@@ -57,6 +58,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "crank_engine": lambda: crank_engine.MODEL,
     "turbo_si_egr": lambda: turbo_si_egr.MODEL,
     "single_cylinder": lambda: single_cylinder.MODEL,
+    "injection_fault": lambda: injection_fault.MODEL,
     "hybrid": lambda: hybrid.make(
         **DEMANDS,
         threshold="0.005 rpm",

@@ -39,9 +39,11 @@ MODEL = Model(
         Signal("code", "1", 0, "i: cylinder i has too much fuel, -i: too little, 0: none", kind="integer"),
     ),
     parameters=(
-        Signal("cylinder", "1", 1.0, "whose injector it is", minimum=1.0, maximum=4.0),
+        Signal("cylinder", "1", 1, "whose injector it is", minimum=1, maximum=4, kind="integer"),
         Signal("amount", "1", 0.25, "relative error", minimum=-1.0),
-        Signal("opposite", "1", 0.0, "1: the cylinder that fires 360 deg later has the same error", 1.0, 0.0, 1.0),
+        Signal(
+            "opposite", "1", 0, "1: the cylinder that fires 360 deg later has the same error", 1, 0, 1, kind="integer"
+        ),
         Signal("begin", "deg", 0.0, "the crank angle it begins at", nominal=720.0),
     ),
 )
