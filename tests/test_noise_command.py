@@ -101,6 +101,26 @@ def test_disturbances_put_in_come_out_with_their_moments_and_by_the_papers_rules
     assert all(rows[name]["process"] == 0.0 and "a lag" in rows[name]["why"] for name in LAGS)
 
 
+def test_residuals_are_about_what_the_record_is_said_to_rest_at(tmp_path: Path, crankbench):
+    path = tmp_path / "signals.parquet"
+    linear_record(path, disturbances(500), 1e-3)
+    space = operate(Operation("turbo_si_egr", settled=True)).space
+    asked = ("noise", path, "--model", "turbo_si_egr", "--settle", "--json")
+    moved = space.x0[PLACES["p_im"]] + 1000.0
+    found = []
+    for more in ((), ("--about", f"p_im={moved:.10g} Pa,N=3200 rpm")):
+        code, out, err = crankbench(*asked, *more)
+        assert code == 0, err
+        found.append({row["name"]: row for row in json.loads(out)["states"]})
+    for name in ("p_im", "T_im", "p_em"):
+        # r = x' - A (x - x_0) - B (u - u_0): 1000 Pa more of x_0 add 1000 Pa of that column of A to all residuals.
+        shift = 1000.0 * space.A[PLACES[name], PLACES["p_im"]]
+        assert found[1][name]["mean"] - found[0][name]["mean"] == pytest.approx(shift, rel=1e-4)
+        assert found[1][name]["deviation"] == pytest.approx(
+            found[0][name]["deviation"], rel=1e-4, abs=1e-6 * abs(shift)
+        )
+
+
 def test_what_is_not_recorded_is_said_and_lags_of_actuators_follow_their_commands(tmp_path: Path, crankbench):
     path = tmp_path / "signals.parquet"
     left = ("F_t", "throttle_position", "wastegate_position", "egr_position", "EVC", "MAF")
