@@ -17,6 +17,7 @@ from benchmarks.comparison import Comparison
 from benchmarks.growth import Growth
 from benchmarks.long_run import LongRun
 from benchmarks.measure import Measure
+from benchmarks.optimal import SearchGrowth, draw_growth
 from benchmarks.page import write_page
 from benchmarks.periodic import Costs
 from benchmarks.real_time import RealTime
@@ -24,6 +25,7 @@ from benchmarks.sections import Taken, measures_of, sections, take_apart
 
 RESULTS = Path(__file__).parent / "results.json"
 PAGE = Path(__file__).parents[1] / "docs" / "speed.md"
+SEARCHES = PAGE.parent / "selection" / "growth.svg"
 
 
 def write_results(measures: Sequence[Measure], path: Path) -> None:
@@ -89,6 +91,9 @@ def main(
         kept = next((one for one in taken.values() if isinstance(one, RealTime)), None)
         write_page(PAGE, comparisons, growths, long, costs, kept)
         print(f"written: {PAGE}")
+        for grown in (one for one in taken.values() if isinstance(one, SearchGrowth)):
+            draw_growth(grown, SEARCHES)
+            print(f"written: {SEARCHES}")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 
@@ -14,13 +15,15 @@ from benchmarks.long_run import STEPS as LONG
 from benchmarks.long_run import LongRun, long_run, measures_memory
 from benchmarks.loop import beside_fmpy
 from benchmarks.measure import Measure
+from benchmarks.optimal import SearchGrowth, beside_every_set, growing
 from benchmarks.periodic import Costs, beside_numpy
 from benchmarks.real_time import RealTime, beside_the_engine
 from benchmarks.selection import beside_dense_svd, on_networks
 from benchmarks.setup_time import beside_simulate_fmu
 from benchmarks.setups import feedthroughs, oscillator, plant_and_observer
+from benchmarks.working_cycle import cylinder_beside_cantera, engine_beside_itself
 
-Taken = list[Measure] | Comparison | Costs | Growth | LongRun | RealTime
+Taken = list[Measure] | Comparison | Costs | Growth | SearchGrowth | LongRun | RealTime
 
 
 def sections(scale: int) -> dict[str, Callable[[], Taken]]:
@@ -42,6 +45,9 @@ def sections(scale: int) -> dict[str, Callable[[], Taken]]:
         "parts": lambda: with_parts(rounds=rounds(40)),
         "signals": lambda: with_signals(rounds=rounds(40)),
         "steps": lambda: with_steps(growth.STEPS if scale == 1 else growth.STEPS[:-1], rounds(3)),
+        "working-cycle": lambda: [cylinder_beside_cantera(rounds=rounds(5)), engine_beside_itself(rounds=rounds(3))],
+        "best-sets": lambda: beside_every_set(rounds(3)),
+        "best-sets-growth": growing,
         "selection": lambda: [*beside_dense_svd(rounds(10)), *on_networks()],
         "periodic": lambda: beside_numpy(rounds(20)),
         "imbalance": lambda: beside_the_engine(rounds=rounds(10)),
@@ -57,7 +63,11 @@ def take(name: str, scale: int) -> Taken:
 
 
 def take_apart(name: str, scale: int) -> Taken:
-    """One section in a fresh process: what was measured before, and left in memory, moves a loop by some per cent."""
+    """One section in a fresh process: what was measured before, and left in memory, moves a loop by some per cent.
+
+    NumPy and SciPy work with one thread there: processor time counts those that wait for each other, too.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         return pool.submit(take, name, scale).result()
 
@@ -66,4 +76,6 @@ def measures_of(taken: Taken) -> list[Measure]:
     """The measures in what a section gave."""
     if isinstance(taken, (Comparison, Costs, RealTime)):
         return taken.measures
+    if isinstance(taken, SearchGrowth):
+        return taken.measures()
     return taken if isinstance(taken, list) else [taken.measure()]

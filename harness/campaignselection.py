@@ -24,13 +24,16 @@ def selection_content(asked: ReportedSelection, campaign: Campaign) -> dict[str,
         sensors=asked.sensors,
         noise=[f"{name}={noise}" for name, noise in asked.noise.items()],
         period=str(asked.period),
-        process=asked.process,
+        process=asked.process
+        if isinstance(asked.process, float)
+        else {name: str(value) for name, value in asked.process.items()},
+        disturbances=[f"{name}={value}" for name, value in asked.disturbances.items()],
     )
-    others = [Operation(asked.target, (place,), asked.parameter_set) for place in asked.also_at]
+    about = [f"{name}={value}" for name, value in asked.about.items()]
+    operation = Operation(asked.target, asked.at, asked.parameter_set, asked.settle, about=about)
+    others = [operation._replace(point=(*asked.at, place)) for place in asked.also_at]
     try:
-        selected = select(
-            Operation(asked.target, (), asked.parameter_set), wishes, others, lambda what, done, total: None
-        )
+        selected = select(operation, wishes, others, lambda what, done, total: None)
     except ConfigurationError as error:
         problems = [
             campaign.places.problem(f"report: selection: {one.message}", "report", "selection")

@@ -25,6 +25,7 @@ from harness.checking import check as check_fmu
 from harness.doctor import examine, remove_unpacked
 from harness.fmutext import check_lines, inspection_lines, survey_line, words
 from harness.metricslist import metric_kinds, metric_lines
+from harness.noisecommand import add_command as add_noise
 from harness.progress import progress
 from harness.recordexport import Format, Units
 from harness.recordexport import export as export_records
@@ -198,16 +199,27 @@ def build(
 
 @app.command()
 def inspect(
-    fmu: Annotated[Path, typer.Argument(help="An FMU file.")], validation: Tier = "warn", as_json: Json = False
+    fmu: Annotated[Path, typer.Argument(help="An FMU file.")],
+    like: Annotated[
+        str | None, typer.Option(metavar="MODEL", help="Propose which of its variables are this model's signals.")
+    ] = None,
+    validation: Tier = "warn",
+    as_json: Json = False,
 ) -> None:
     """Show what an FMU is, its variables, units and capabilities, and what would stand in the way."""
     if not fmu.is_file():
         raise ConfigurationError(f"no FMU file '{fmu}'")
-    content = describe(fmu, validation).to_json()
+    description = describe(fmu, validation)
+    content, proposed = description.to_json(), []
+    if like is not None:
+        from harness.likeness import find_likeness, likeness_lines
+
+        found = find_likeness(description, like)
+        content, proposed = {**content, "like": found.to_json()}, likeness_lines(found)
     if as_json:
         _print_json(content)
     else:
-        print(*inspection_lines(content), sep="\n")
+        print(*inspection_lines(content), *proposed, sep="\n")
 
 
 @app.command()
@@ -264,6 +276,7 @@ def _check_folder(folder: Path, page: Path | None, manner: Manner, as_json: bool
 
 
 add_commands(app)
+add_noise(app)
 
 
 @app.command()

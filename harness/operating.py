@@ -5,24 +5,27 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fmus.component import ConfigurationError, Problem, Signal, StepError
+import numpy as np
+
+from fmus.component import ConfigurationError, Problem, Signal, StepError, Vector
 from fmus.description import Validation, describe
 from fmus.linearfmu import linear_fmu
 from fmus.linearmodel import LinearModel
-from fmus.model import Model, ModelError
+from fmus.model import Model, ModelError, unknown
 from fmus.modelstructure import read_structure
 from fmus.rungs import Source
 from fmus.statespace import StateSpace, at, linearised, settle
 from fmus.steady import SteadyError
-from fmus.units import parse_unit
+from fmus.units import UnitError, parse_unit
 from harness.building import find_model, made_model, set_values
 from harness.findings import Findings
 from harness.fmusettings import as_signal, read_fmu_settings
 from harness.places import Place, Places, read_yaml
+from harness.quantity import read_measure
 from harness.settings import read_settings
 from harness.worker import isolated
 from selection.branch import Branch
@@ -35,7 +38,8 @@ _BETWEEN = re.compile(r",(?=\s*[\w.]+(?:\[[^\]]*\])?\s*=)")
 class Operation(NamedTuple):
     """What a user asks: a model's name or an FMU's file, the point as `name=value`, and whether to settle from there.
 
-    `seconds` bounds what an FMU may take, which runs in a process of its own.
+    `seconds` bounds what an FMU may take, which runs in a process of its own. `about` are `name=value` of what a
+    reference shows at rest with these inputs: deviations are from there, and what the model does there counts as rest.
     """
 
     target: str
@@ -44,19 +48,23 @@ class Operation(NamedTuple):
     settled: bool = False
     validation: Validation = "warn"
     seconds: float = 60.0
+    about: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
 class Operating:
     """A system at its operating point, and the model where it is one; of an FMU there is the structure observed.
 
-    `sensors` are the signals that a model's module declares can be measured; empty where it declares none.
+    `sensors` are the signals that a model's module declares can be measured, `accuracies` how exact, as shares, and
+    `lags` the states of actuators and sensors; empty where it declares none.
     """
 
     space: StateSpace
     model: LinearModel | None = None
     observed: Structure | None = None
     sensors: tuple[str, ...] = ()
+    accuracies: Mapping[str, float] = field(default_factory=dict)
+    lags: tuple[str, ...] = ()
 
     def structure(self) -> Structure:
         """Which entries of A and C are not zero at the point. Raises ConfigurationError: exact arithmetic fails."""
@@ -74,6 +82,11 @@ def operate(operation: Operation) -> Operating:
 
     Raises ConfigurationError: no such model or FMU, a setting that does not fit, no derivatives, no equilibrium.
     """
+    found = _operated(operation)
+    return replace(found, space=_about(found.space, operation.about)) if operation.about else found
+
+
+def _operated(operation: Operation) -> Operating:
     given, places = _read_point(operation.point)
     if operation.target.endswith(".fmu"):
         return _fmu(operation, given, places)
@@ -87,7 +100,46 @@ def operate(operation: Operation) -> Operating:
         space = linearised(system, x, u)
     except (ModelError, SteadyError) as error:
         raise ConfigurationError(f"{operation.target}: {error}") from error
-    return Operating(space, system, sensors=tuple(getattr(importlib.import_module(module), "SENSORS", ())))
+    declared = importlib.import_module(module)
+    return Operating(
+        space,
+        system,
+        sensors=tuple(getattr(declared, "SENSORS", ())),
+        accuracies=getattr(declared, "ACCURACIES", {}),
+        lags=tuple(getattr(declared, "LAGS", ())),
+    )
+
+
+def _about(space: StateSpace, given: Sequence[str]) -> StateSpace:
+    """The same matrices about the values given, without what moves at the point.
+
+    Raises ConfigurationError: a name that is no state, output or input, a value of another dimension.
+    """
+    problems: list[Problem] = []
+    signals = {s.name: s for s in (*space.inputs, *space.outputs, *space.states)}
+    values: dict[str, float] = {}
+    for text in (part for several in given for part in _BETWEEN.split(several)):
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or name not in signals:
+            problems.append(Problem(f"--about {text}: {unknown(name, signals, 'state, output or input')}"))
+            continue
+        try:
+            values[name] = read_measure(value).si(signals[name].unit)
+        except (ValueError, UnitError) as error:
+            problems.append(Problem(f"--about {name}: {error}"))
+    if problems:
+        raise ConfigurationError(problems)
+
+    def moved(of: Sequence[Signal], at: Vector) -> Vector:
+        return np.array([values.get(s.name, v) for s, v in zip(of, at, strict=True)])
+
+    return replace(
+        space,
+        x0=moved(space.states, space.x0),
+        u0=moved(space.inputs, space.u0),
+        y0=moved(space.outputs, space.y0),
+        rates=np.zeros(len(space.rates)),
+    )
 
 
 def _read_point(point: Sequence[str]) -> tuple[dict[str, Any], Places]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -96,13 +96,23 @@ class ReportedSelection(Strict):
 
     target: str = Field(description="a plant's name, module, or module:name")
     parameter_set: str | None = Field(None, alias="set", description="a named parameter set of the model")
+    at: list[str] = Field(default_factory=list, description="the point, like N=3200 rpm")
+    settle: bool = Field(False, description="whether the model comes to rest from the point first")
+    about: dict[str, Quantity] = Field(
+        default_factory=dict, description="what a reference shows at the point, which then counts as rest"
+    )
     estimate: list[str] = Field(min_length=1, description="the states to estimate")
     max_sensors: int = Field(3, ge=1)
     method: Method = "structural"
     sensors: list[str] = Field(default_factory=list, description="states and outputs that may be measured")
     noise: dict[str, Quantity] = Field(default_factory=dict, description="standard deviations of samples, by sensor")
     period: Quantity = Field(Measure(10.0, "ms"), description="time between samples")
-    process: float = Field(0.01, ge=0.0, description="what disturbs each state, of its size in a second")
+    process: Annotated[float, Field(ge=0.0)] | dict[str, Quantity] = Field(
+        0.01, description="what disturbs each state, of its size in a second; or by state a deviation after a second"
+    )
+    disturbances: dict[str, Quantity] = Field(
+        default_factory=dict, description="what disturbs single states instead: deviation after a second, by state"
+    )
     also_at: list[str] = Field(default_factory=list, description="points to show the structure at, too")
 
 

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import math
-import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fmus.component import ConfigurationError, Vector
+from fmus.component import ConfigurationError
 from fmus.model import ModelError
-from fmus.statespace import AT_REST, StateSpace, imbalance, scales, si_unit, unrest
+from fmus.statespace import StateSpace, scales
 from harness.operating import Operation, operate
-from harness.runfolder import VERSIONED, commit
+from harness.selectionsystem import is_moving, moving, plant_of, refuse_unrest, sensor_told, system_told, within_budget
 from harness.wishes import MEASURES, Choice, Wishes, understand
-from selection.measures import Noise, Plant, plant
-from selection.methods import Method
+from selection.methods import ByIndex
 from selection.observability import Measured, Options, observe
 from selection.ranking import Asked, Ranked, Told, as_json, evaluate, rank, sets_within
 from selection.structure import Structure, distances, structurally_observable
+
+if TYPE_CHECKING:
+    from harness.optimising import Optimised
 
 # Sets up to which Gramian and Kalman error are taken without being asked for, about a quarter of a minute.
 FEW_SETS = 10_000
@@ -55,19 +55,24 @@ class Selected:
         return {**head, "sets": sets, "shown": len(sets), **self.about}
 
 
-def select(operation: Operation, wishes: Wishes, others: Sequence[Operation], tell: Told) -> Selected:
+def select(operation: Operation, wishes: Wishes, others: Sequence[Operation], tell: Told) -> Selected | Optimised:
     """All sets that the wishes allow, ranked; `others` are points whose structures are shown beside.
 
     Raises ConfigurationError: names that are not known, a point that is no equilibrium, nothing that sees the states.
     """
     operating = operate(operation)
     choice = understand(operating, wishes)
-    space, structure = operating.space, operating.structure()
+    space = operating.space
+    refuse_unrest(space, wishes)
+    if wishes.method == "h2" or wishes.method == "optimal":
+        from harness.optimising import optimise
+
+        return optimise(operation, space, choice, wishes, tell)
+    structure = operating.structure()
     notes: list[str] = []
-    _refuse_unrest(space, wishes)
     names = tuple(signal.name for signal in choice.signals)
     measured = Measured(space, names, choice.lags, structure, operating.model)
-    sets = sets_within(len(names), choice.limits)
+    sets = within_budget(sets_within(len(names), choice.limits), choice, wishes)
     measures = _measures(wishes, space, len(sets), notes)
     asked = Asked(
         choice.wanted,
@@ -75,7 +80,7 @@ def select(operation: Operation, wishes: Wishes, others: Sequence[Operation], te
         wishes.method,
         Options(seed=wishes.seed, tolerance=wishes.tolerance, threads=wishes.threads),
         choice.costs,
-        _plant(space, measured, choice, wishes) if measures else None,
+        plant_of(space, choice) if measures else None,
         frozenset(measures),
     )
     try:
@@ -88,76 +93,36 @@ def select(operation: Operation, wishes: Wishes, others: Sequence[Operation], te
     if not any(row.index for row in ranked):
         raise ConfigurationError(_unseen(ranked, names, [s.name for s in wanted]))
     about = {
-        "target": operation.target,
-        "estimate": [signal.name for signal in wanted],
-        "method": wishes.method,
+        **system_told(operation, space, choice, wishes),
         "considered": len(ranked),
         "counts": _counts(ranked),
         "by": list(wishes.by),
         "evidence": seen.evidence,
-        "states": [
-            {"name": signal.name, "unit": si_unit(signal), "size": float(size)}
-            for signal, size in zip(space.states, scales(space.states), strict=True)
-        ],
         "sensors": [
             _sensor(i, measured, choice, {space.states[j].name: rho for j, rho in sees[i].items()})
             for i in range(len(names))
         ],
-        "sees_by": _sees_by(wishes.method),
+        "sees_by": _sees_by(asked.method),
         "pairs": pairs,
         "structure": _structures(measured, structure, operation, others),
-        "must": [names[m] for m in sorted(choice.limits.must)],
-        "forbid": [names[m] for m in sorted(choice.limits.forbid)],
-        "most": choice.limits.most,
         "measures": sorted(measures),
-        "period": choice.period,
-        "process": wishes.process,
-        "point": space.point(),
-        "imbalance": float(_imbalance(space).max(initial=0.0)),
-        "rung": space.rung,
-        "error": space.error,
         "notes": notes,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in VERSIONED}},
-        "commit": commit(),
     }
     return Selected(ranked, names, [s.name for s in wanted], [float(z) for z in scales(wanted)], about)
-
-
-def _imbalance(space: StateSpace) -> Vector:
-    return imbalance(space.A, space.rates, scales(space.states))
-
-
-def _refuse_unrest(space: StateSpace, wishes: Wishes) -> None:
-    """Raises ConfigurationError: the method is about an equilibrium and the point is none."""
-    if wishes.method in ("numerical", "exact") and _imbalance(space).max(initial=0.0) > AT_REST:
-        raise ConfigurationError(f"the point is no equilibrium: {_unrest(space)}; --settle finds one from there")
-
-
-def _unrest(space: StateSpace) -> str:
-    return unrest(space.states, space.A, space.rates)
 
 
 def _measures(wishes: Wishes, space: StateSpace, count: int, notes: list[str]) -> set[str]:
     """The measures to take; those asked for or, of few sets, all, where the point is an equilibrium."""
     asked = set(MEASURES if wishes.measures is None else wishes.measures)
-    if asked and _imbalance(space).max(initial=0.0) > AT_REST:
+    if asked and is_moving(space):
         notes.append(
-            f"no {' and '.join(sorted(asked))}: the point is no equilibrium, {_unrest(space)}; --settle finds one"
+            f"no {' and '.join(sorted(asked))}: the point is no equilibrium, {moving(space)}; --settle finds one"
         )
         return set()
     if wishes.measures is None and count > FEW_SETS:
         notes.append(f"no {' and '.join(sorted(asked))} of {count} sets unless asked for: --measures gramian,kalman")
         return set()
     return asked
-
-
-def _plant(space: StateSpace, measured: Measured, choice: Choice, wishes: Wishes) -> Plant:
-    gradients = np.concatenate([space.C, np.eye(len(space.states))])[measured.places]
-    noise = Noise(choice.noise, choice.period, wishes.process)
-    try:
-        return plant(space.A, gradients, np.array(choice.lags), scales(space.states), noise)
-    except ValueError as error:
-        raise ConfigurationError(f"the scaling is singular: {error}") from error
 
 
 def _pairs(measured: Measured, asked: Asked) -> list[list[int | None]] | None:
@@ -173,7 +138,7 @@ def _pairs(measured: Measured, asked: Asked) -> list[list[int | None]] | None:
     return found
 
 
-def _sees_by(method: Method) -> Method:
+def _sees_by(method: ByIndex) -> ByIndex:
     """The method by which is told what each sensor sees: that of the selection where it knows each state."""
     return "structural" if method == "numerical" else method
 
@@ -187,16 +152,12 @@ def _sees(measured: Measured, asked: Asked) -> list[dict[int, int]]:
 
 
 def _sensor(place: int, measured: Measured, choice: Choice, sees: Mapping[str, int]) -> dict[str, Any]:
-    signal, n = choice.signals[place], len(measured.space.states)
+    n = len(measured.space.states)
     gradients = np.concatenate([measured.structure.C, np.eye(n, dtype=bool)])
     row = gradients[[measured.places[place]]]
     (far,) = distances(measured.structure.A, row, [measured.lags[place]])
     return {
-        "name": signal.name,
-        "unit": si_unit(signal),
-        "lag": choice.lags[place],
-        "noise": float(choice.noise[place]),
-        "cost": choice.costs[place],
+        **sensor_told(choice, place),
         "sees": sees,
         "reaches": {state.name: int(k) for state, k in zip(measured.space.states, far, strict=True) if k >= 0},
         "structurally_observable": structurally_observable(measured.structure.A, row) if n <= FEW_STATES else None,

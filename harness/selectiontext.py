@@ -61,10 +61,15 @@ def print_selected(selected: Selected, most: int | None, stream: TextIO) -> None
     if about["measures"]:
         lines.append(
             f"error: root mean square of the estimate's errors over the states' sizes; a sample each "
-            f"{about['period']:g} s, process noise {about['process']:g} of a size in a second"
+            f"{about['period']:g} s, process noise {process_told(about['process'])}"
         )
     for line in (*lines, *(f"note: {note}" for note in about["notes"])):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def process_told(asked: float | Mapping[str, str]) -> str:
+    """What disturbs the states, in words."""
+    return "of its own of each state" if isinstance(asked, Mapping) else f"{asked:g} of a size in a second"
 
 
 _WORDS = {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import NamedTuple
@@ -13,10 +13,11 @@ import numpy as np
 from fmus.component import ConfigurationError, Problem, Signal, Vector
 from fmus.model import unknown
 from fmus.sensing import TEMPERATURE_LAG
+from fmus.statespace import scales
 from fmus.units import UnitError, parse_unit
 from harness.operating import Operating
 from harness.quantity import read_measure
-from selection.methods import Method
+from selection.methods import BY_ERROR, Method, Scaling
 from selection.ranking import KEYS, MOST_SETS, Limits, count_sets
 
 MEASURES = ("gramian", "kalman")
@@ -29,6 +30,8 @@ class Wishes:
     """What a user asks of a selection, as it is written on the command line.
 
     Names are those of sensors, which go by what they measure, or patterns like `T_*`, but for `estimate`: states.
+    `process` is one share of the states' sizes, or by state a deviation over the root of a second, which is what
+    `crankbench noise` writes.
     """
 
     estimate: Sequence[str] = ()
@@ -43,14 +46,20 @@ class Wishes:
     measures: Sequence[str] | None = None
     by: Sequence[str] = ("index", "error", "cost")
     period: str = "10 ms"
-    process: float = 0.01
+    process: float | Mapping[str, str] = 0.01
     tolerance: float | None = None
     seed: int = 0
     threads: int = 1
+    budget: float = math.inf
+    disturbances: Sequence[str] = ()
+    scaling: Scaling = "deviation"
 
 
 class Choice(NamedTuple):
-    """The wishes as they were understood: places of wanted states and sensors, and what each sensor is."""
+    """The wishes as they were understood: places of wanted states and sensors, and what each sensor is.
+
+    `process` (n,) is what disturbs each state, of its size in a second.
+    """
 
     wanted: tuple[int, ...]
     signals: tuple[Signal, ...]
@@ -59,6 +68,7 @@ class Choice(NamedTuple):
     costs: tuple[float, ...]
     limits: Limits
     period: float
+    process: Vector
 
 
 def understand(operating: Operating, wishes: Wishes) -> Choice:
@@ -80,7 +90,8 @@ def understand(operating: Operating, wishes: Wishes) -> Choice:
     elif not problems:
         limits = Limits(wishes.most, frozenset(must), frozenset(forbid))
         count = count_sets(len(names), limits)
-        if not 0 < count <= MOST_SETS:
+        most = math.inf if wishes.method in BY_ERROR else MOST_SETS
+        if not 0 < count <= most:
             hint = "lower --max-sensors, or narrow by --must and --forbid" if count else "there is no sensor left"
             problems.append(Problem(f"that makes {count} sets, wants 1 to {MOST_SETS}: {hint}"))
     kelvin = parse_unit("K")
@@ -99,11 +110,40 @@ def understand(operating: Operating, wishes: Wishes) -> Choice:
         if deviation <= 0.0:
             problems.append(Problem(f"--noise {name}: wants more than 0, got {deviation:g}"))
     period = _quantity(wishes.period, "s", "--period", problems)
+    process = _process(wishes.process, space.states, problems)
+    disturbances = wishes.disturbances, states, [s.unit for s in space.states], "--disturbance", problems, "state"
+    for place, value in _numbers(*disturbances):
+        if not 0.0 <= value < math.inf:
+            problems.append(Problem(f"--disturbance {states[place]}: wants 0 or more, got {value:g}"))
+        process[place] = value / scales(space.states)[place]
     _check_words(wishes, problems)
     if problems:
         raise ConfigurationError(problems)
     limits = Limits(wishes.most, frozenset(must), frozenset(forbid))
-    return Choice(wanted, tuple(signals), tuple(lags), np.array(noise), tuple(costs), limits, period)
+    return Choice(wanted, tuple(signals), tuple(lags), np.array(noise), tuple(costs), limits, period, process)
+
+
+def _process(asked: float | Mapping[str, str], states: Sequence[Signal], problems: list[Problem]) -> Vector:
+    """The process noise of each state, (n,), in units of the states' sizes."""
+    if isinstance(asked, (int, float)):
+        if not asked >= 0.0:
+            problems.append(Problem(f"--process wants 0 or more, got {asked:g}"))
+        return np.full(len(states), float(asked))
+    names = [s.name for s in states]
+    found = np.zeros(len(names))
+    missing = [name for name in names if name not in asked]
+    if missing:
+        problems.append(Problem(f"--process has no noise of {', '.join(missing)}; add it to the file's process"))
+    for name, text in asked.items():
+        if name not in names:
+            problems.append(Problem(f"--process {name}: {unknown(name, names, 'state')}"))
+            continue
+        place = names.index(name)
+        value = _quantity(str(text), states[place].unit, f"--process {name}", problems)
+        if value < 0.0:
+            problems.append(Problem(f"--process {name} wants 0 or more, got {text}"))
+        found[place] = value
+    return found / scales(states)
 
 
 def _check_words(wishes: Wishes, problems: list[Problem]) -> None:
@@ -113,8 +153,8 @@ def _check_words(wishes: Wishes, problems: list[Problem]) -> None:
     for word in wishes.measures or ():
         if word not in MEASURES:
             problems.append(Problem(f"--measures {word}: {unknown(word, MEASURES, 'measure')}"))
-    if not wishes.process >= 0.0:
-        problems.append(Problem(f"--process wants 0 or more, got {wishes.process:g}"))
+    if not wishes.budget >= 0.0:
+        problems.append(Problem(f"--budget wants 0 or more, got {wishes.budget:g}"))
     if wishes.tolerance is not None and not 0.0 < wishes.tolerance < 1.0:
         problems.append(Problem(f"--tolerance wants a number between 0 and 1, got {wishes.tolerance:g}"))
 
@@ -151,18 +191,23 @@ def _fitting(text: str, names: Sequence[str]) -> list[int]:
 
 
 def _numbers(
-    asked: Iterable[str], names: Sequence[str], units: Sequence[str], option: str, problems: list[Problem]
+    asked: Iterable[str],
+    names: Sequence[str],
+    units: Sequence[str],
+    option: str,
+    problems: list[Problem],
+    kind: str = "sensor",
 ) -> list[tuple[int, float]]:
     """Places and values in SI of settings like `T_*=3 s`, as differences: 1 degC is 1 K."""
     found = []
     for text in asked:
         name, equals, value = (part.strip() for part in text.partition("="))
         if not equals or not name or not value:
-            problems.append(Problem(f"{option} {text}: wants sensor=value"))
+            problems.append(Problem(f"{option} {text}: wants {kind}=value"))
             continue
         places = _fitting(name, names)
         if not places:
-            problems.append(Problem(f"{option} {text}: {unknown(name, names, 'sensor')}"))
+            problems.append(Problem(f"{option} {text}: {unknown(name, names, kind)}"))
         found += [(place, _quantity(value, units[place], f"{option} {text}", problems)) for place in places]
     return found
 

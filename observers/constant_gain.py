@@ -15,7 +15,7 @@ from fmus.jacobians import Jacobians, Point, jacobians
 from fmus.model import Model, ModelError, Values, unknown
 from fmus.sensing import sensor_name
 from fmus.steady import SteadyError
-from observers.given import Complaints, Given, measured_name, read_given, read_list, read_values
+from observers.given import Complaints, Given, measured_name, read_given, read_list, read_values, require_sensors
 from observers.operating import OperatingPoints, Sought
 from observers.stationary import Stationary, stationary
 from observers.told import (
@@ -65,6 +65,7 @@ def make(
     Raises ConfigurationError with all that is wrong: arguments, points that do not settle, modes that are not seen.
     """
     found = Complaints()
+    require_sensors(sensors, found)
     given = read_given(
         plant, sensors, noise, process, found,
         parameters=parameters, parameter_set=parameter_set, start=start, lags=lags, outputs=outputs,

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from fmus.model import Model
 from observers.filter_model import Array, Instant, Sampled, filter_model, read_shown, read_uncertainty
-from observers.given import Complaints, read_given
+from observers.given import Complaints, read_given, require_sensors
 from observers.kalman import Gaussian, correct, discretise, predict_covariance
 
 
@@ -33,6 +33,7 @@ def make(
     docs/observers.md. Raises ConfigurationError with all that is wrong with them.
     """
     found = Complaints()
+    require_sensors(sensors, found)
     given = read_given(
         plant, sensors, noise, process, found,
         parameters=parameters, parameter_set=parameter_set, start=start, lags=lags, outputs=outputs,

@@ -120,8 +120,6 @@ def read_given(
     believed = read_believed(bare, parameters, parameter_set, start or {}, found)
     constants = read_values(lags or {}, [Signal(name, "s") for name in sensors], "sensor", found)
     model = found.collect(with_sensors, believed, list(sensors), constants) or believed
-    if not sensors:
-        found.add("sensors wants one signal or more; without any there is observers.model_alone")
     slow = model.states[len(bare.states) :]
     known = {signal.name: signal for signal in (*believed.states, *believed.outputs)}
     on = [known[name] for name in sensors if name in known]
@@ -134,6 +132,12 @@ def read_given(
         noise=read_deviations(noise, on, "noise", "sensor", found),
         process=np.nan_to_num(strays),
     )
+
+
+def require_sensors(sensors: Sequence[str], found: Complaints) -> None:
+    """A complaint where there are no sensors to correct by."""
+    if not sensors:
+        found.add("sensors wants one signal or more; without any there is observers.model_alone")
 
 
 def plant_model(plant: str | Model) -> Model:

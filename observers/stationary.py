@@ -10,15 +10,13 @@ from scipy.linalg import solve_discrete_are
 
 from fmus.model import ModelError
 from observers.kalman import Interval, discretise
+from observers.modes import mode_name
 
 Array = NDArray[np.float64]
 
 # How close to 1 the modulus of a sampled eigenvalue counts as 1, and to 0 a singular value of matrices whose rows are
 # of size 1: above what rounding leaves of an eigenvalue of multiplicity two, the root of 1e-16.
 MARGINAL, NONE = 1e-7, 1e-7
-ROUNDED = 1e-6  # 1/s, of a pole that is told
-# Of the largest element of a mode, what still counts as a state of it.
-SHARE = 0.1
 TINY = 1e-300
 
 
@@ -82,18 +80,8 @@ def _require(interval: Interval, C: Array, h: float, states: list[str]) -> None:
         ):
             _, singular, right = np.linalg.svd(test)
             if singular[-1] <= NONE:
-                messages.append(f"the mode at {_number(np.log(complex(z)) / h)} 1/s in {_states_of(right[-1], states)}")
+                messages.append(mode_name(np.log(complex(z)) / h, right[-1], states))
     if unseen:
         raise ModelError(f"not detectable: the sensors do not see {', nor '.join(dict.fromkeys(unseen))}")
     if unmoved:
         raise ModelError(f"no process noise moves {', nor '.join(dict.fromkeys(unmoved))}: its gain would end at zero")
-
-
-def _number(pole: complex) -> str:
-    real, imaginary = (0.0 if abs(part) < ROUNDED else float(part) for part in (pole.real, pole.imag))
-    return f"{complex(real, imaginary):.4g}" if imaginary else f"{real:.4g}"
-
-
-def _states_of(vector: Array, states: list[str]) -> str:
-    sizes = np.abs(vector)
-    return ", ".join(name for name, size in zip(states, sizes, strict=True) if size >= SHARE * sizes.max())

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from fmus.component import Signal
 from fmus.model import Model, ModelError
 from observers.filter_model import Array, Instant, Sampled, filter_model, read_shown, read_uncertainty
-from observers.given import Complaints, read_given
+from observers.given import Complaints, read_given, require_sensors
 from observers.kalman import NEGLIGIBLE, Gaussian, discretise, solve_gain
 
 # Of the twin's integration, relative and in nominal values: far below what the FMU's solver is asked for.
@@ -39,6 +39,7 @@ def make(
     Arguments as in docs/observers.md. Raises ConfigurationError with all that is wrong with them.
     """
     found = Complaints()
+    require_sensors(sensors, found)
     given = read_given(
         plant, sensors, noise, process, found,
         parameters=parameters, parameter_set=parameter_set, start=start, lags=lags, outputs=outputs,

@@ -22,6 +22,8 @@ from reports.errors import Errors, declared_confusions, nearest_rank, pool, samp
 from reports.folder import Case, Run, RunFolderError, read_run
 from reports.histograms import Histogram, declared_histograms, draw_histogram
 from reports.interactive import interactive, points_a_trace
+from reports.optimal import METHODS as BY_ERROR
+from reports.optimal import best_of_all, optimal_drawings
 from reports.page import page_of
 from reports.powers import draw_power, read_powers
 from reports.published import published
@@ -140,6 +142,10 @@ def _selection(run: Run) -> dict[str, Any] | None:
         return None
     try:
         content = read_selection(path)
+        if content["method"] in BY_ERROR:
+            found = {name: Markup(drawing) for name, drawing in optimal_drawings(content).items()}
+            meaning = BY_ERROR[content["method"]]
+            return {"content": content, "meaning": meaning, "best": best_of_all(content), "drawn": found}
         drawn = {name: Markup(drawing) for name, drawing in drawings(content).items()}
         return {"content": content, "meaning": METHODS[content["method"]], "best": best(content), "drawn": drawn}
     except SelectionError as error:

@@ -11,6 +11,8 @@ import numpy as np
 from markupsafe import Markup
 
 from fmus.whole import write_whole
+from reports.optimal import METHODS as BY_ERROR
+from reports.optimal import optimal_page
 from reports.page import page_of
 from reports.setfigures import index_histogram, number_matrix, structure_matrix
 
@@ -34,6 +36,9 @@ def write_page(selection: Path, page: Path) -> Path:
     Raises SelectionError: the file holds no selection.
     """
     content = read_selection(selection)
+    if content["method"] in BY_ERROR:
+        write_whole(page, optimal_page(content))
+        return page
     text = page_of(
         "selection.html.jinja",
         content=content,

@@ -37,13 +37,13 @@ _MOST_DOUBLINGS = 60
 class Noise(NamedTuple):
     """Standard deviations of sensors in SI at each sample, the period of samples [s], and what moves the states.
 
-    `process` is the intensity of the white noise on each state: the state's deviation after a second, of its size, were
-    it left alone; so a covariance of (process size)^2 each second.
+    `process` is the intensity of the white noise on each state, one for all or of shape (n,): the state's deviation
+    after a second, of its size, were it left alone; so a covariance of (process size)^2 each second.
     """
 
     sensors: Vector
     period: float
-    process: float
+    process: float | Vector
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def kalman_error(plant: Plant, members: Sequence[int], wanted: Sequence[int]) ->
         return Error(None, f"undetectable: a mode of {unseen[0].real:.3g}/s is not seen and does not die out")
     n, period = len(plant.A), plant.noise.period
     intensity = np.zeros((len(A), len(A)))
-    intensity[:n, :n] = plant.noise.process**2 * np.eye(n)
+    intensity[:n, :n] = np.square(plant.noise.process) * np.eye(n)
     F, Q = sampled(A, intensity, period)
     R = np.eye(len(C))
     try:
@@ -193,9 +193,12 @@ def kalman_error(plant: Plant, members: Sequence[int], wanted: Sequence[int]) ->
     rest = np.eye(len(A)) - gain @ C
     after = rest @ before @ rest.T + gain @ gain.T
     residual = F @ after @ F.T + Q - before
-    if not np.abs(residual).max() <= 1e-6 * np.abs(before).max() or np.diag(after)[:n].min() <= 0.0:
+    variances = np.diag(after)[:n]
+    # A state that nothing disturbs is known, and rounding leaves something on either side of zero.
+    known = np.sqrt(EPS) * np.abs(before).max()
+    if not np.abs(residual).max() <= 1e-6 * np.abs(before).max() or variances.min() < -known:
         return Error(None, f"no steady filter: the Riccati equation has a residual of {np.abs(residual).max():.1e}")
-    return Error(np.sqrt(np.diag(after)[list(wanted)]))
+    return Error(np.sqrt(np.maximum(variances, 0.0)[list(wanted)]))
 
 
 def sampled(A: Vector, intensity: Vector, period: float) -> tuple[Vector, Vector]:
@@ -218,10 +221,14 @@ def sampled(A: Vector, intensity: Vector, period: float) -> tuple[Vector, Vector
 
 def unseen_modes(A: Vector, C: Vector) -> list[complex]:
     """The modes that do not die out and that C does not see, by the test of Popov, Belevitch and Hautus."""
+    return [mode for mode, _ in unseen_directions(A, C)]
+
+
+def unseen_directions(A: Vector, C: Vector) -> list[tuple[complex, Vector]]:
+    """The modes that do not die out and that C does not see, each with the states' parts in it, shape (n,)."""
     found = []
     for mode in growing_modes(A):
-        pencil = np.concatenate([A - mode * np.eye(len(A)), C])
-        values = np.linalg.svd(pencil, compute_uv=False)
+        _, values, right = np.linalg.svd(np.concatenate([A - mode * np.eye(len(A)), C]))
         if values[-1] <= np.sqrt(EPS) * values[0]:
-            found.append(mode)
+            found.append((mode, np.abs(right[-1])))
     return found

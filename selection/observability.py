@@ -36,7 +36,7 @@ from fmus.linearmodel import LinearModel
 from fmus.statespace import StateSpace, scales
 from selection.branch import Branch
 from selection.exact import exact_indices
-from selection.methods import Method
+from selection.methods import ByIndex
 from selection.numerical import EPS, hidden_states, numerical_indices, scaled
 from selection.residues import generic_model
 from selection.rowspace import Field, Rows, spanned_units
@@ -103,7 +103,7 @@ def observe(
     measured: Measured,
     wanted: Sequence[int],
     sets: Sets,
-    method: Method,
+    method: ByIndex,
     options: Options | None = None,
     tell: Told = lambda done: None,
 ) -> Seen:
@@ -144,7 +144,7 @@ def subset_index(indices: Indices, states: Sequence[int]) -> Indices:
     return np.where((wanted == 0).any(axis=1), 0, wanted.max(axis=1, initial=1))
 
 
-def _branch(measured: Measured, method: Method) -> Branch:
+def _branch(measured: Measured, method: ByIndex) -> Branch:
     if measured.model is None:
         raise ValueError(f"the method {method} wants the equations of a model; an FMU gives numbers only")
     return Branch(measured.model, measured.space.x0, measured.space.u0)

@@ -10,7 +10,7 @@ from typing import Any
 
 from fmus.component import Vector
 from selection.measures import Error, Information, Plant, gramian_factors, information, kalman_error
-from selection.methods import Method
+from selection.methods import ByIndex
 from selection.observability import Measured, Options, Seen, observe
 
 # More sets than this are not gone through: at a millisecond each that would be half an hour.
@@ -91,7 +91,7 @@ class Asked:
 
     wanted: tuple[int, ...]
     sets: Sequence[tuple[int, ...]]
-    method: Method
+    method: ByIndex
     options: Options
     costs: Sequence[float]
     plant: Plant | None = None

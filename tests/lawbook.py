@@ -35,6 +35,7 @@ KINDS = ("real", "integer", "boolean")
 # Of an output's change over a whole step, what may be left over a step this much shorter; a change that comes by
 # integration shrinks at least in proportion, and one at once not at all.
 SHORTER, LEFT = 64.0, 0.25
+ROUNDING = 1e-14  # of an output's value
 
 Step = ctypes.CFUNCTYPE(
     ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
@@ -234,7 +235,8 @@ def _change(component: Component, course: Course, i: int, h: float) -> Vector:
             u[i] = _other_value(component.inputs[i], u[i], course)
         ends.append(component.step(course.t0 + course.steps * course.h, h, u))
     change: Vector = np.abs(ends[1] - ends[0])
-    return change
+    # What differs by rounding alone is not changed.
+    return np.where(change > ROUNDING * np.abs(ends).max(axis=0), change, 0.0)
 
 
 def _other_value(signal: Signal, value: float, course: Course) -> float:

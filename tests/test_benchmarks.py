@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -14,11 +15,12 @@ import numpy as np
 import pytest
 
 from benchmarks import comparison, growth, periodic, real_time
-from benchmarks.__main__ import PAGE, write_results
+from benchmarks.__main__ import PAGE, SEARCHES, write_results
 from benchmarks.comparison import BARE, FMPY_CALLS, PEERS, SIMULATE_FMU, Comparison, beside_all, check_peer
 from benchmarks.growth import Growth, line
 from benchmarks.long_run import LongRun, long_run, measures_memory
 from benchmarks.measure import Measure, in_turn
+from benchmarks.optimal import best_of_each, draw_growth, growing, network, scipy_cost
 from benchmarks.orders import jacobi
 from benchmarks.page import replace_section, write_page
 from benchmarks.peer_process import PeerProcess, Unavailable, task_of
@@ -300,3 +302,25 @@ def test_a_task_names_every_signal_with_its_reference():
         ("second", "Int32_input", "integer", 19),
     )
     assert [signal.kind for signal in task["driven"]] == ["real", "real", "integer", "boolean"]
+
+
+def test_the_search_and_its_growth_are_measured_and_drawn_the_same_each_time(tmp_path: Path):
+    grown = growing(((6, 4), (8, 5)))
+    assert all(0.0 < seconds < 60.0 for column in grown[1:] for seconds in column)
+    assert [measure.name for measure in grown.measures()] == [
+        "best 3 of 4 sensors, 6 states",
+        "best 3 of 5 sensors, 8 states",
+    ]
+    unended = grown._replace(search=(math.nan, 1.0), program=(1.0, math.nan))
+    assert len(unended.measures()) == 1
+    for name in ("one.svg", "two.svg"):
+        draw_growth(unended, tmp_path / name)
+    assert (tmp_path / "one.svg").read_bytes() == (tmp_path / "two.svg").read_bytes()
+    assert SEARCHES.is_file()
+
+
+def test_the_peer_of_the_search_is_scipys_solver_on_the_same_system():
+    system = network(6, 4)
+    costs, found = best_of_each(system, 3)
+    assert all(one.proven for one in found)
+    assert scipy_cost(system, found[2].sensors) == pytest.approx(costs.cost(found[2].sensors), rel=1e-8)

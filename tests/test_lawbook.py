@@ -16,7 +16,18 @@ from fmus.controllers import balancing
 from fmus.export import cached_fmu
 from fmus.fmu import load_fmu
 from fmus.model import Model
-from fmus.plants import crank_engine, driveline, exhaust_afr, injection_fault, rod, turbo_si, turbo_si_speed
+from fmus.plants import (
+    crank_engine,
+    driveline,
+    exhaust_afr,
+    gas_exchange,
+    injection_fault,
+    rod,
+    single_cylinder,
+    turbo_si,
+    turbo_si_egr,
+    turbo_si_speed,
+)
 from harness.campaign import find_campaign, read_campaign
 from harness.scenario import ModelPart
 from harness.wiring import wire
@@ -26,6 +37,7 @@ from observers import (
     ekf,
     evasion,
     hybrid,
+    linear_kalman,
     luenberger,
     model_alone,
     open_loop,
@@ -44,6 +56,8 @@ MODELS: dict[str, Callable[[], Model]] = {
     "exhaust_afr": lambda: exhaust_afr.MODEL,
     "rod": lambda: rod.MODEL,
     "crank_engine": lambda: crank_engine.MODEL,
+    "turbo_si_egr": lambda: turbo_si_egr.MODEL,
+    "single_cylinder": lambda: single_cylinder.MODEL,
     "injection_fault": lambda: injection_fault.MODEL,
     "hybrid": lambda: hybrid.make(
         **DEMANDS,
@@ -57,6 +71,7 @@ MODELS: dict[str, Callable[[], Model]] = {
     "constant_gain": lambda: constant_gain.make(**SENSED, grid={"push": "[-1, 1] m/s2"}),
     "ekf": lambda: ekf.make(**SENSED, uncertainty=0.1),
     "ukf": lambda: ukf.make(**SENSED, uncertainty=0.1),
+    "linear_kalman": lambda: linear_kalman.make(SPRING, ["x", "gauge"], 0.1, 0.1),
     "evasion": lambda: evasion.make(PLANT, 2, 3, delay=0.2, threshold="0.1 rpm", bandwidth=300.0, entry_error=10.0),
     # Model Exchange wants a sample time in s.
     "diagnosis": lambda: diagnosis.make(mixing_time=0.03, lags=[0.025, 0.02], sample_time=1e-3),
@@ -64,6 +79,9 @@ MODELS: dict[str, Callable[[], Model]] = {
     "torque_imbalance": lambda: torque_imbalance.make(sample_time=1e-3),
     "balancing": lambda: balancing.make(sample_time=1e-3),
 }
+# Cylinders that fire raise the pressure behind the turbine at once and that before it in a millisecond, in which what
+# they do to its speed changes sign: a change that is near zero at its end says nothing of how it began.
+COURSES = {"turbo_si_egr": Course(2e-4)}
 # Each with the step of its default experiment. The ball stays above the ground for these steps.
 REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthrough": 0.1, "Stair": 0.2}
 
@@ -74,7 +92,15 @@ REFERENCE = {"VanDerPol": 0.01, "Dahlquist": 0.1, "BouncingBall": 0.01, "Feedthr
 def test_exported_models_keep_the_laws(name: str, fmi: int, kind: str):
     model = MODELS[name]()
     path = cached_fmu(model, fmi)
-    check_component(lambda: load_fmu(path, role=model.role, kind=kind))
+    check_component(lambda: load_fmu(path, role=model.role, kind=kind), COURSES.get(name, Course()))
+
+
+@pytest.mark.parametrize("fmi", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_the_crank_resolved_engine_keeps_the_laws(fmi: int):
+    # As Co-Simulation only: by a solver with error control, what hardly feels an input within a millisecond, like the
+    # burnt fraction of the EGR pipe the throttle, differs by the solver's error, and the law takes that for an effect.
+    path = cached_fmu(gas_exchange.MODEL, fmi)
+    check_component(lambda: load_fmu(path))
 
 
 @pytest.mark.parametrize("kind", ["cs", "me"])

@@ -120,6 +120,24 @@ def test_the_kalman_error_is_that_of_python_control(seed, n, s):
     assert found.deviations == pytest.approx(np.sqrt(np.diag(after)), rel=1e-5)
 
 
+def test_each_state_may_have_a_process_noise_of_its_own():
+    A, C = np.array([[-1.0, 0.5], [0.0, -3.0]]), np.array([[1.0, 0.0]])
+    alike = kalman_error(plant_of(A, C, process=np.array([0.1, 0.1])), [0], [0, 1])
+    np.testing.assert_array_equal(alike.deviations, kalman_error(plant_of(A, C), [0], [0, 1]).deviations)
+    apart = kalman_error(plant_of(A, C, process=np.array([0.1, 0.4])), [0], [0, 1])
+    F, Q = sampled(A, np.diag([0.01, 0.16]), 0.01)
+    before = scipy.linalg.solve_discrete_are(F.T, C.T, Q, np.eye(1))
+    after = before - before @ C.T @ np.linalg.solve(C @ before @ C.T + np.eye(1), C @ before)
+    assert apart.deviations == pytest.approx(np.sqrt(np.diag(after)), rel=1e-9)
+
+
+def test_a_state_that_nothing_disturbs_is_known_in_the_end():
+    # As the lag of an actuator, which follows its command and dies out.
+    A, C = np.array([[-1.0, 0.5], [0.0, -20.0]]), np.array([[1.0, 0.0]])
+    found = kalman_error(plant_of(A, C, process=np.array([0.1, 0.0])), [0], [0, 1])
+    assert found.why == "" and found.deviations[0] > 0.0 and found.deviations[1] < 1e-9
+
+
 @settings(deadline=None, max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_the_steady_error_is_where_the_filters_recursion_ends(seed):

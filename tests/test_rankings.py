@@ -199,6 +199,18 @@ def test_a_selection_is_kept_in_the_run_folder_as_the_command_gives_it_and_drawn
     assert "(X)" in page.text("selection")  # p_im acts on p_ic and T_ic, but not where the throttle chokes
 
 
+@pytest.mark.parametrize(("method", "drawings"), [("optimal", 1), ("h2", 2)])
+def test_a_selection_by_error_is_kept_and_drawn_too(tmp_path, method, drawings):
+    asked = SELECTION.partition("    noise")[0] + f"    method: {method}\n    sensors: [p_im, W_th]\n"
+    campaign = read(tmp_path, CAMPAIGN + asked + "    disturbances: {p_im: 500 Pa}\n")
+    execute(campaign, tmp_path / "run", 1, lambda ended: None)
+    kept = json.loads((tmp_path / "run" / "selection.json").read_text())
+    assert kept["method"] == method and kept["disturbances"] == {"p_im": pytest.approx(500.0)}
+    text = page_of(tmp_path / "run").text("selection")
+    assert f"best of 1: {', '.join(kept['by_size'][0]['sensors'])}" in text
+    assert ("Which sensors the program uses at each alpha" in text) == (drawings == 2)
+
+
 def test_a_selection_of_what_is_not_there_is_told_before_anything_is_run(tmp_path):
     campaign = read(tmp_path, CAMPAIGN + SELECTION.replace("T_im, p_em", "T_imm, p_em"))
     with pytest.raises(ConfigurationError, match=r"ranked\.yaml:\d+:\d+: report: selection: .*did you mean 'T_im'"):
