@@ -18,7 +18,7 @@ from fmus.statespace import StateSpace, scales
 from fmus.units import parse_quantity, parse_unit
 from fmus.working_cycle.rest import MEANS
 from harness.campaign import find_campaign, read_campaign
-from harness.campaigns import egr_cycle, egr_sensors
+from harness.campaigns import egr_cycle, egr_noise, egr_sensors
 from harness.cases import execute
 from harness.operating import operate
 from harness.places import read_yaml, read_yaml_file
@@ -33,7 +33,7 @@ from selection.riccati import Costs, best_filter
 
 FILE = find_campaign("egr-sensors")
 SENSORS = turbo_si_egr.SENSORS
-SETS = [members for members in egr_sensors.SETS if members]
+SETS = [members for members in egr_noise.SETS if members]
 
 
 @cache
@@ -49,7 +49,7 @@ def si(text: str, unit: str) -> float:
 
 @cache
 def space() -> StateSpace:
-    return operate(egr_sensors.OPERATION).space
+    return operate(egr_noise.OPERATION).space
 
 
 @cache
@@ -94,7 +94,7 @@ def _near(one, other) -> bool:
 
 @pytest.mark.slow
 def test_the_file_is_what_the_script_writes():
-    written, _ = read_yaml("\n".join(egr_sensors.campaign(egr_sensors.estimated())), "egr-sensors.yaml")
+    written, _ = read_yaml("\n".join(egr_sensors.campaign(egr_noise.estimated())), "egr-sensors.yaml")
     assert list(differences(document(), written)) == []
 
 
@@ -112,11 +112,11 @@ def test_without_l1_norm_the_program_is_the_riccati_equation_for_all_sets_of_the
 @pytest.mark.parametrize("kind", ["kf", "kd"])
 def test_the_expected_errors_in_the_file_are_those_that_the_filters_expect(kind):
     costs = Costs(estimation(kind).moved())
-    ranking = document()["report"]["rankings"][list(egr_sensors.FAMILIES).index(kind)]
-    expected = ranking["measures"][f"{egr_sensors.FAMILIES[kind].by}_all"]["values"]
+    ranking = document()["report"]["rankings"][list(egr_noise.FAMILIES).index(kind)]
+    expected = ranking["measures"][f"{egr_noise.FAMILIES[kind].by}_all"]["values"]
     (size,) = (s.nominal for s in turbo_si_egr.MODEL.states if s.name == "F_im")
-    for members in egr_sensors.SETS:
-        part = egr_sensors.named(kind, members)
+    for members in egr_noise.SETS:
+        part = egr_noise.named(kind, members)
         # Written with six digits, of a noise written with four.
         assert expected[part] == pytest.approx(100.0 * size * np.sqrt(costs.cost(places(members))), rel=1e-3)
 
@@ -167,9 +167,9 @@ def test_the_cycle_is_that_of_the_text():
 
 def test_every_set_has_a_linear_filter_of_each_noise_on_the_same_sensors():
     parts = document()["parts"]
-    for kind in egr_sensors.FAMILIES:
-        for members in egr_sensors.SETS:
-            part = parts[egr_sensors.named(kind, members)]
+    for kind in egr_noise.FAMILIES:
+        for members in egr_noise.SETS:
+            part = parts[egr_noise.named(kind, members)]
             assert part["with"]["sensors"] == list(members)
             wired = {key for key in part["wires"] if key.endswith("_measured")}
             assert wired == {f"{name}_measured" for name in members}
