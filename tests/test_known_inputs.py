@@ -154,7 +154,8 @@ def test_lines_between_points_are_those_of_numpy(points: Points, shares: list[fl
     times, values = points.times, points.values
     source = SourceComponent("1", Points(times, values, "linear", points.ends, points.edge))
     source.start(float(times[0]), NOTHING)
-    inside = times[0] + np.array(shares) * (times[-1] - times[0])
+    # A share of 1 may round to beyond the last point, where there is no value.
+    inside = np.minimum(times[0] + np.array(shares) * (times[-1] - times[0]), times[-1])
     if points.ends == "repeat":
         inside = inside[inside < times[-1] - 1e-9]
     found = [source.step(float(time), 0.0, NOTHING)[0] for time in inside]

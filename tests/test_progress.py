@@ -103,4 +103,5 @@ def test_a_campaign_tells_where_its_cases_are_and_never_of_one_that_ended(tmp_pa
         else:
             assert 0 <= one.instant <= 1_000_001 and one.total == 5
     assert len(over) == 5
-    assert len({one.instant for one in told if isinstance(one, Underway)}) > 5
+    # How often depends on how fast the machine is; of a million steps some are told while they go on.
+    assert any(1 < one.instant < 1_000_000 for one in told if isinstance(one, Underway))
