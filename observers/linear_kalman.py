@@ -16,7 +16,7 @@ from fmus.model import Model, ModelError, Values
 from fmus.sensing import sensor_name
 from fmus.steady import SteadyError
 from observers.given import Complaints, Given, measured_name, read_given, read_values
-from observers.modes import mode_name
+from observers.modes import growing_modes, unseen_by_name
 from observers.operating import OperatingPoints
 from observers.told import by_signal, scalars
 
@@ -91,14 +91,13 @@ def gain(A: Array, C: Array, density: Array, intensity: Array, states: list[str]
 
     Raises ModelError: a mode that does not die out is not seen, or there is no stabilising solution.
     """
-    modes, vectors = np.linalg.eig(A)
+    unseen = unseen_by_name(A, C, states)
+    if unseen:
+        raise ModelError(f"not detectable: the sensors do not see {unseen}")
     rows = C / np.sqrt(intensity)[:, None]
-    for mode, vector in zip(modes, vectors.T, strict=True):
-        if mode.real >= 0.0 and mode.imag >= 0.0 and np.linalg.norm(C @ vector) <= 1e-9 * np.linalg.norm(C):
-            raise ModelError(f"not detectable: the sensors do not see {mode_name(mode, vector, states)}")
     # In units of what the noise makes of each state, where that is bounded, the solver keeps the most digits.
     sizes = np.ones(len(A))
-    if modes.real.max() < 0.0:
+    if not growing_modes(A):
         alone = np.asarray(solve_continuous_lyapunov(A, -np.diag(density)), dtype=np.float64)
         if not len(C):
             return np.zeros((len(A), 0)), alone

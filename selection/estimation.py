@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from fmus.component import Vector
-from observers.modes import mode_name, taking_part
-from selection.measures import Plant, augmented, growing_modes, unseen_directions
+from observers.modes import growing_modes, mode_name, taking_part, unseen_by_name, unseen_directions
+from selection.measures import Plant, augmented
 from selection.numerical import EPS
 
 # Of the largest eigenvalue of a covariance, what counts as rounding when one is below zero.
@@ -132,9 +132,7 @@ def unseen_by(system: Estimation, members: Sequence[int]) -> str:
     if not growing_modes(system.A):
         return ""
     seen = system.on(members)
-    rows = seen.C / np.maximum(np.linalg.norm(seen.C, axis=1, keepdims=True), np.finfo(float).tiny)
-    named = (mode_name(mode, vector, seen.states) for mode, vector in unseen_directions(seen.A, rows))
-    return ", nor ".join(dict.fromkeys(named))
+    return unseen_by_name(seen.A, seen.C, seen.states)
 
 
 def deviations(system: Estimation) -> Vector:

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from fmus.component import Vector
-from selection.measures import sampled, unseen_modes
+from observers.modes import unseen_modes
+from selection.measures import sampled
 
 # Logarithms of the noise go this far from where they start: a factor of 3000.
 REACH = 8.0

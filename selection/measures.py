@@ -26,6 +26,7 @@ import numpy as np
 from scipy.linalg import block_diag, expm, qr, solve_discrete_are
 
 from fmus.component import Vector
+from observers.modes import growing_modes, unseen_modes
 from selection.numerical import EPS
 
 # A singular value of R below this share of the largest is rounding: QR factorisations are exact to the precision times
@@ -87,16 +88,6 @@ def plant(A: Vector, sensors: Vector, time_constants: Vector, sizes: Vector, noi
             raise ValueError(f"a {what} is {values.min():g}")
     scaled = sensors * sizes / noise.sensors[:, None]
     return Plant(A * sizes / sizes[:, None], scaled, time_constants, noise)
-
-
-def growing_modes(A: Vector) -> list[complex]:
-    """The eigenvalues of A with which a Gramian over all time does not exist, fastest growing first.
-
-    One of a real part that is rounding, of the size of A, counts as zero, and so grows.
-    """
-    values = np.linalg.eigvals(A)
-    least = EPS * len(A) * np.linalg.norm(A)
-    return sorted((complex(v) for v in values if v.real >= -least), key=lambda v: -v.real)
 
 
 def gramian_factors(plant: Plant) -> Vector:
@@ -217,18 +208,3 @@ def sampled(A: Vector, intensity: Vector, period: float) -> tuple[Vector, Vector
         Q = Q + F @ Q @ F.T
         F = F @ F
     return F, 0.5 * (Q + Q.T)
-
-
-def unseen_modes(A: Vector, C: Vector) -> list[complex]:
-    """The modes that do not die out and that C does not see, by the test of Popov, Belevitch and Hautus."""
-    return [mode for mode, _ in unseen_directions(A, C)]
-
-
-def unseen_directions(A: Vector, C: Vector) -> list[tuple[complex, Vector]]:
-    """The modes that do not die out and that C does not see, each with the states' parts in it, shape (n,)."""
-    found = []
-    for mode in growing_modes(A):
-        _, values, right = np.linalg.svd(np.concatenate([A - mode * np.eye(len(A)), C]))
-        if values[-1] <= np.sqrt(EPS) * values[0]:
-            found.append((mode, np.abs(right[-1])))
-    return found

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from scipy.linalg import schur, solve_continuous_are, solve_continuous_lyapunov
 
 from fmus.component import Vector
+from observers.modes import growing_modes
 from selection.estimation import Estimation, EstimationError, deviations, unseen_by
-from selection.measures import growing_modes
 
 # Of the terms of the Riccati equation, how much may be left over: the Schur vectors of a Hamiltonian matrix of some
 # tens of rows leave 1e-14 to 1e-11; one step of Newton's method brings back what it lost.

@@ -9,6 +9,7 @@ from filtered import CART, SPRING, SPRING_A, SPRING_C, TANKS, Filter
 from scipy.linalg import expm
 
 from fmus.component import ConfigurationError
+from fmus.model import ModelError
 from observers import linear_kalman
 
 STRAYS = np.array([0.1, 0.3, 0.05])
@@ -104,3 +105,9 @@ def test_what_does_not_die_out_and_is_not_seen_is_named():
     with pytest.raises(ConfigurationError, match=r"not detectable: the sensors do not see .*place"):
         linear_kalman.make(CART, ["speed"], {"speed": "0.1 m/s"}, {"place": "1 m", "speed": "1 m/s", "heat": "1 K"},
                            at={"place": "0 m"})  # fmt: skip
+
+
+def test_of_two_modes_alike_that_one_sensor_sees_only_together_the_unseen_one_is_named():
+    # Two integrators and their sum: either is seen, what they differ by is not.
+    with pytest.raises(ModelError, match="not detectable: the sensors do not see the mode at 0 1/s in a, b"):
+        linear_kalman.gain(np.zeros((2, 2)), np.array([[1.0, 1.0]]), np.ones(2), np.ones(1), ["a", "b"])

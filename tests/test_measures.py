@@ -12,18 +12,17 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from observers.modes import growing_modes, unseen_modes
 from selection.measures import (
     Noise,
     Plant,
     augmented,
     gramian_factor,
     gramian_factors,
-    growing_modes,
     information,
     kalman_error,
     plant,
     sampled,
-    unseen_modes,
 )
 
 
