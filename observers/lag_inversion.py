@@ -195,10 +195,9 @@ def _law(
         if multiplier is None:
             return None, None
         return lambda lag: designed(lag, multiplier), multiplier
-    decay = WEIGHT if kind == "published" else read_number(raw.get("decay", DECAY), "gains: full: decay", found, 0.0)
-    weight = (
-        WEIGHT if kind == "published" else read_number(raw.get("weight", WEIGHT), "gains: full: weight", found, 0.0)
-    )
+    # Those of `published` are those where none are given.
+    decay = read_number(raw.get("decay", DECAY), "gains: full: decay", found, 0.0)
+    weight = read_number(raw.get("weight", WEIGHT), "gains: full: weight", found, 0.0)
     word = read_choice(raw.get("per", "sample"), f"gains: {kind}: per", ("sample", "rad", "s"), found)
     if word == "s" and any(lag.varies for lag in lags):
         found.add(f"gains: {kind}: per wants sample or rad where a time constant is an input, got s")
