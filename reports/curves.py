@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from reports.figures import STYLE, svg
-from reports.folder import Run, RunFolderError, read_json
+from reports.folder import Run, read_entries
 from reports.numbers import axis_label
 from reports.scatter import LOGARITHMIC
 
@@ -64,13 +64,7 @@ def read_curves(run: Run) -> tuple[Curve, ...]:
 
     Raises RunFolderError: the file does not hold what the contract says.
     """
-    path = run.path / "curves.json"
-    if not path.is_file():
-        return ()
-    try:
-        return tuple(_curve(entry) for entry in read_json(path, list))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunFolderError(f"{path}: an entry is not what a curve wants: {error!r}") from error
+    return read_entries(run.path / "curves.json", "curve", _curve)
 
 
 def draw_curve(curve: Curve, titles: Mapping[str, str], colours: Mapping[str, str], name: str) -> str:

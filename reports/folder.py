@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     import pandas as pd
 
 COMPLETE = ("ok", "warning")
 MISSING = "missing"
+Entry = TypeVar("Entry")
 
 
 class RunFolderError(Exception):
@@ -299,6 +300,19 @@ def read_json(path: Path, wanted: type) -> Any:
     if not isinstance(content, wanted):
         raise RunFolderError(f"{path}: wants {_JSON_NAMES[wanted]}, got {_short(content)}")
     return content
+
+
+def read_entries(path: Path, what: str, one: Callable[[Any], Entry]) -> tuple[Entry, ...]:
+    """What a file of the run's end holds, each entry read by `one`; none where the file is not there.
+
+    Then none are declared, or the run never came to its end. Raises RunFolderError: an entry is not what `what` wants.
+    """
+    if not path.is_file():
+        return ()
+    try:
+        return tuple(one(entry) for entry in read_json(path, list))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise RunFolderError(f"{path}: an entry is not what a {what} wants: {error!r}") from error
 
 
 def _number(raw: Any) -> float:

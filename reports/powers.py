@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Drawing
 
 from reports.figures import STYLE, svg
-from reports.folder import Run, RunFolderError, read_json
+from reports.folder import Run, read_entries
 from reports.numbers import axis_label, with_unit
 from reports.traces import TRUTH_COLOUR
 
@@ -105,13 +105,7 @@ def read_powers(run: Run) -> tuple[Power, ...]:
 
     Raises RunFolderError: the file does not hold what the contract says.
     """
-    path = run.path / "powers.json"
-    if not path.is_file():
-        return ()
-    try:
-        return tuple(_power(entry) for entry in read_json(path, list))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunFolderError(f"{path}: an entry is not what a power wants: {error!r}") from error
+    return read_entries(run.path / "powers.json", "power", _power)
 
 
 def draw_power(power: Power, titles: Mapping[str, str], colours: Mapping[str, str], name: str) -> str:

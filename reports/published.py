@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from reports import numbers, standing
 from reports.errors import samples_of
-from reports.folder import Run, RunFolderError, read_json
+from reports.folder import Run, read_entries
 
 
 @dataclass(frozen=True)
@@ -51,24 +52,19 @@ def read_statements(run: Run) -> dict[int, Statement]:
 
     Raises RunFolderError: the file does not hold what the contract says.
     """
-    path = run.path / "statements.json"
-    if not path.is_file():
-        return {}
-    try:
-        return {
-            int(entry["entry"]): Statement(
-                text=str(entry["text"]),
-                holds=bool(entry["holds"]),
-                value=math.nan if entry["value"] is None else float(entry["value"]),
-                bound=math.nan if entry["bound"] is None else float(entry["bound"]),
-                unit=str(entry["unit"]),
-                case=str(entry["case"]),
-                reason=str(entry["reason"]),
-            )
-            for entry in read_json(path, list)
-        }
-    except (KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path}: an entry is not what a statement wants: {error!r}") from error
+    return dict(read_entries(run.path / "statements.json", "statement", _statement))
+
+
+def _statement(entry: Mapping[str, Any]) -> tuple[int, Statement]:
+    return int(entry["entry"]), Statement(
+        text=str(entry["text"]),
+        holds=bool(entry["holds"]),
+        value=math.nan if entry["value"] is None else float(entry["value"]),
+        bound=math.nan if entry["bound"] is None else float(entry["bound"]),
+        unit=str(entry["unit"]),
+        case=str(entry["case"]),
+        reason=str(entry["reason"]),
+    )
 
 
 def _row(run: Run, entry: dict[str, Any], statement: Statement | None) -> Row:

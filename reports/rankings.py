@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from reports.folder import Run, RunFolderError, read_json
+from reports.folder import Run, read_entries
 
 ANSWERS = {
     "agrees": "yes: what the measure puts first does better",
@@ -66,13 +66,7 @@ def read_rankings(run: Run) -> tuple[Ranking, ...]:
 
     Raises RunFolderError: the file does not hold what the contract says.
     """
-    path = run.path / "rankings.json"
-    if not path.is_file():
-        return ()
-    try:
-        return tuple(_ranking(entry) for entry in read_json(path, list))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise RunFolderError(f"{path}: an entry is not what a ranking wants: {error!r}") from error
+    return read_entries(run.path / "rankings.json", "ranking", _ranking)
 
 
 def _ranking(entry: Mapping[str, Any]) -> Ranking:
