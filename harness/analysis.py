@@ -213,7 +213,12 @@ def _written(file: str, key: str) -> dict[str, str]:
     path = Path(file)
     if not path.is_file():
         raise ConfigurationError(f"--{key} wants a file of crankbench noise, there is no {path}")
-    content = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"--{key}: {path} wants what crankbench noise --out writes, got no JSON: {error}"
+        ) from error
     if not isinstance(content, dict) or not isinstance(content.get(key), dict):
         raise ConfigurationError(f"--{key}: {path} has no '{key}' by name; crankbench noise --out writes one")
     return {str(name): str(value) for name, value in content[key].items()}

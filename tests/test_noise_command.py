@@ -260,6 +260,9 @@ def test_a_record_that_is_not_there_and_noise_that_is_no_file_are_said(tmp_path:
     (tmp_path / "other.json").write_text("{}")
     code, _, err = crankbench("select", "turbo_si_egr", "--noise", tmp_path / "other.json")
     assert code == 2 and "has no 'noise' by name; crankbench noise --out writes one" in err
+    (tmp_path / "cut.json").write_text('{"process": {')
+    code, _, err = crankbench("select", "turbo_si_egr", "--process", tmp_path / "cut.json")
+    assert code == 2 and "cut.json wants what crankbench noise --out writes, got no JSON: " in err
     code, _, err = crankbench("select", "turbo_si_egr", "--process", "much")
     assert code == 2 and "--process wants a share of the states' sizes, like 0.01, or a file that ends in .json" in err
 
